@@ -19,9 +19,10 @@ import numpy as np
 
 from benchmarks._harness import print_figures, quick_parser
 from reconstruction.errors import InputError
-from reconstruction.rig.importing import Importing, import_calibration
+from reconstruction.rig.importing import import_calibration
 from reconstruction.rig.pinhole import Pinhole
-from tests.corpus.calibrations import LAYOUTS, Layout, Rig, misread, random_rig
+from tests.corpus.calibrations import LAYOUTS
+from tests.corpus.rigs import Content, Rig, misread, random_rig
 
 CASES = Path(__file__).parents[1] / "../shared/cases/07_calibrations"
 # Assumed for a public file without the projector's size.
@@ -32,11 +33,11 @@ KAMINO_PROJECTOR_SIZE = (2048, 1536)
 RIGS, QUICK_RIGS = 10, 1
 
 
-def public_rigs(folder: Path) -> Iterator[tuple[list[Path], Rig, Layout]]:
-    """Yield files, their rig read by the names in the program's source, and what they lack."""
-    needs_size = Layout(_not_written, frozenset({"projector"}), tolerance=1e-6)
-    complete = Layout(_not_written, tolerance=1e-6)
-    for name, keys, sizes, layout in (
+def public_rigs(folder: Path) -> Iterator[tuple[list[Path], Rig, Content]]:
+    """Yield files, their rig read by the names in the program's source, and their content."""
+    needs_size = Content(frozenset({"projector"}), tolerance=1e-6)
+    complete = Content(tolerance=1e-6)
+    for name, keys, sizes, content in (
         ("slstudio.xml", ("Kc", "kc", "Kp", "kp", "Rp", "Tp"), (1688, 1352, 1824, 1140), complete),
         ("slmaster_mono.yml", ("M1", "D1", "M4", "D4", "Rlp", "Tlp"), (1280, 1024), needs_size),
         (
@@ -49,7 +50,7 @@ def public_rigs(folder: Path) -> Iterator[tuple[list[Path], Rig, Layout]]:
         if (folder / name).is_file():
             storage = cv2.FileStorage(str(folder / name), cv2.FILE_STORAGE_READ)
             parts = [storage.getNode(key).mat().astype(float) for key in keys]
-            yield [folder / name], _rig(parts, (*sizes, *PROJECTOR_SIZE)[:4]), layout
+            yield [folder / name], _rig(parts, (*sizes, *PROJECTOR_SIZE)[:4]), content
     files = [folder / f"scannersim_{name}_geometry.json" for name in ("camera", "projector")]
     if all(file.is_file() for file in files):
         yield files, _of_scanner_sim(files), complete
@@ -75,14 +76,10 @@ def _rig(parts: list[np.ndarray], sizes: tuple[int, ...]) -> Rig:
     return Rig(devices[0], devices[1], parts[4], parts[5].ravel())
 
 
-def _not_written(home: Path, rig: Rig) -> list[Path]:
-    raise NotImplementedError("a public file is not written")
-
-
-def is_right(name: str, files: list[Path], rig: Rig, layout: Layout, options: Importing) -> bool:
+def is_right(name: str, files: list[Path], rig: Rig, content: Content) -> bool:
     """Return True if files are read as the rig; else print what differs."""
     try:
-        wrong: Any = misread(import_calibration(files, options), layout, rig)
+        wrong: Any = misread(import_calibration(files, content.options(rig)), content, rig)
     except InputError as error:
         wrong = error
     if wrong:
@@ -93,8 +90,7 @@ def is_right(name: str, files: list[Path], rig: Rig, layout: Layout, options: Im
 def reality_calibrations(quick: bool) -> dict[str, float]:
     """Return the share of calibrations that are read right, see the module docstring."""
     right = [
-        is_right(files[0].name, files, rig, layout, layout.options(rig))
-        for files, rig, layout in public_rigs(CASES)
+        is_right(files[0].name, files, rig, content) for files, rig, content in public_rigs(CASES)
     ]
     rng = np.random.default_rng(52)
     for number in range(QUICK_RIGS if quick else RIGS):
@@ -103,7 +99,7 @@ def reality_calibrations(quick: bool) -> dict[str, float]:
             with tempfile.TemporaryDirectory() as folder:
                 files = layout.write(Path(folder), rig)
                 label = f"{name}, rig {number}"
-                right.append(is_right(label, files, rig, layout, layout.options(rig)))
+                right.append(is_right(label, files, rig, layout.content))
     return {"imports_right": float(np.mean(right))}
 
 

@@ -37,8 +37,9 @@ SETS, QUICK_SETS = 200, 21
 RIGHT_SHARE = 0.9
 CLOSE_PX = 1.5
 """Largest error of a right coordinate from phases."""
-CLOSE_BITS = 0.75
-"""Largest error of a coordinate from bits, in widths of the finest stripe."""
+CLOSE_BITS = 1.0
+"""Largest error of a coordinate from bits, in widths of a word: half a word, and the neighbouring
+word at its blurred edges. Two exchanged bits cause errors of two words and more."""
 
 
 def main() -> None:

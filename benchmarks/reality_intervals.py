@@ -52,6 +52,8 @@ WHITE_PX, SMOOTH_PX, REACH = 0.05, 0.1, 0.3
 # Height of the board's ends above its middle, mm.
 BEND_MM = 0.1
 PAIRS, QUICK_PAIRS, POSES_PER_SET = 40, 6, 5
+# The estimator was chosen by sets of another seed.
+SEED = 20261127
 CASE = Path(__file__).parents[2] / "shared" / "cases" / "06_lightcrafter_912x1140"
 # Sets of real poses of this size; a rig needs three.
 REAL_SET = 3
@@ -147,7 +149,7 @@ def _fit(observed: Sequence[Observation], freedom: Freedom | None = None) -> Adj
 
 def pairs(count: int, errors: Errors | None = None) -> list[tuple[Adjustment, Adjustment]]:
     """Return the adjustments of `count` pairs of disjoint sets of simulated poses."""
-    rng, adjusted = np.random.default_rng(1), []
+    rng, adjusted = np.random.default_rng(SEED), []
     for _ in range(count):
         observed = poses(rng, 2 * POSES_PER_SET, errors or Errors())
         adjusted.append((_fit(observed[:POSES_PER_SET]), _fit(observed[POSES_PER_SET:])))

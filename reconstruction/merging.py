@@ -28,6 +28,7 @@ import numpy as np
 from reconstruction.arrays import BoolImage, FloatArray, FloatImage, at_pixels
 from reconstruction.errors import InputError
 from reconstruction.rig.calibration import Calibration
+from reconstruction.rig.pinhole import Pinhole
 from reconstruction.triangulation import PointMap
 from reconstruction.triangulation.normals import LONGEST_OVER_TYPICAL
 
@@ -99,6 +100,26 @@ class Merged:
 
 
 @dataclass(frozen=True, eq=False)
+class _Surface:
+    """Points of one camera in the common frame; all arrays are (row, col, ...).
+
+    Parameters
+    ----------
+    points : points and their standard deviations
+    camera : intrinsics
+    normals : unit normals towards the camera; 0 where not known
+    errors_mm : (row, col, xyz) error of one standard deviation, along the ray of the camera
+    spread_mm : sigma_i, component of this error along the normal
+    """
+
+    points: PointMap
+    camera: Pinhole
+    normals: FloatImage
+    errors_mm: FloatImage
+    spread_mm: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
 class _Sight:
     """Surface observed by camera j along its rays through the points of camera i, all (row, col).
 
@@ -107,12 +128,14 @@ class _Sight:
     seen : camera j has a surface there
     offset_mm : s, distance of this surface from the point along the normal of the point
     spread_mm : sigma_j along this normal
+    over_sigma : |s| over its standard deviation; 0 where it is not known
     is_nearer : the surface is nearer to camera j than the point
     """
 
     seen: BoolImage
     offset_mm: FloatArray
     spread_mm: FloatArray
+    over_sigma: FloatArray
     is_nearer: BoolImage
 
 
@@ -125,59 +148,70 @@ def merge(views: Sequence[CameraView]) -> Merged:
     """
     if len(views) < 2:
         raise InputError(f"merge: found {len(views)} view; give two or more captures")
-    moved = [_in_frame_of(views[0].calibration, view) for view in views]
-    sights = [[_sight(a, b) for b in moved if b is not a] for a in moved]
-    birge = _birge_ratio(moved, sights)
-    agreed = [_agreed(view, row, birge) for view, row in zip(moved, sights, strict=True)]
-    through = [_through(view, row, birge) for view, row in zip(moved, sights, strict=True)]
-    maps = tuple(
-        _fused(view, row, same, birge)
-        for view, row, same in zip(moved, sights, agreed, strict=True)
+    surfaces = [_in_frame_of(views[0].calibration, view) for view in views]
+    sights = [[_sight(of, by) for by in surfaces if by is not of] for of in surfaces]
+    birge = _birge_ratio(sights)
+    limit = GATE * birge
+    agreed = [[sight.seen & (sight.over_sigma <= limit) for sight in row] for row in sights]
+    pairs = list(zip(surfaces, sights, agreed, strict=True))
+    through = [
+        _any(
+            [
+                sight.seen & ~sight.is_nearer & ~same
+                for sight, same in zip(row, agreeing, strict=True)
+            ],
+            surface,
+        )
+        for surface, row, agreeing in pairs
+    ]
+    valid = [surface.points.valid for surface in surfaces]
+    return Merged(
+        tuple(_fused(surface, row, agreeing, birge) for surface, row, agreeing in pairs),
+        tuple(is_point & ~gone for is_point, gone in zip(valid, through, strict=True)),
+        tuple(_any(same[:number], surfaces[number]) for number, same in enumerate(agreed)),
+        _agreement(surfaces, sights, agreed, through, birge),
     )
-    kept = tuple(view.points.valid & ~gone for view, gone in zip(moved, through, strict=True))
-    repeated = tuple(_any(same[:number], moved[number]) for number, same in enumerate(agreed))
-    compared = _agreement(moved, sights, agreed, through, birge)
-    return Merged(maps, kept, repeated, compared)
 
 
-def _in_frame_of(first: Calibration, view: CameraView) -> CameraView:
+def _in_frame_of(first: Calibration, view: CameraView) -> _Surface:
     """Move points and camera of a view into the world of `first`, by the projector of both."""
     T = first.T_world_from_proj @ np.linalg.inv(view.calibration.T_world_from_proj)
-    errors = _errors_mm(view.points) @ T[:3, :3].T
+    along = view.points.points_world_mm - view.points.T_world_from_cam[:3, 3]
+    errors = np.copysign(view.points.sigma_xyz_mm, along) @ T[:3, :3].T
     points = view.points.points_world_mm @ T[:3, :3].T + T[:3, 3]
-    valid = view.points.valid[..., np.newaxis]
     moved = PointMap(
-        np.where(valid, points, 0.0).astype(np.float32),
+        np.where(view.points.valid[..., np.newaxis], points, 0.0).astype(np.float32),
         np.abs(errors).astype(np.float32),
         view.points.mask_reason,
         T @ view.points.T_world_from_cam,
     )
-    return CameraView(moved, view.calibration)
+    normals = moved.normals_world
+    spread_mm = np.abs(_dot(normals, errors))
+    camera = view.calibration.camera
+    return _Surface(moved, camera, normals, errors.astype(np.float32), spread_mm)
 
 
-def _errors_mm(points: PointMap) -> FloatArray:
-    """Return the error of one standard deviation of each point, along its ray, (row, col, xyz)."""
-    along = points.points_world_mm - points.T_world_from_cam[:3, 3]
-    return np.copysign(points.sigma_xyz_mm, along).astype(np.float64)
+def _dot(a: FloatArray | FloatImage, b: FloatArray | FloatImage) -> FloatArray:
+    """Return the scalar products (row, col) of vectors (row, col, xyz)."""
+    return np.asarray(np.einsum("rcx,rcx->rc", a, b, dtype=np.float64))
 
 
-def _sight(of: CameraView, by: CameraView) -> _Sight:
-    """Compare the points of one view with the surface observed by the camera of another one."""
-    points_mm, normals = of.points.points_world_mm, of.points.normals_world
+def _sight(of: _Surface, by: _Surface) -> _Sight:
+    """Compare the points of one camera with the surface observed by another one."""
+    points_mm = of.points.points_world_mm
     T = np.linalg.inv(by.points.T_world_from_cam)
     depth_mm = points_mm @ T[2, :3] + T[2, 3]
-    usable = of.points.valid & np.any(normals != 0.0, axis=-1) & (depth_mm > 0.0)
+    usable = of.points.valid & np.any(of.normals != 0.0, axis=-1) & (depth_mm > 0.0)
     at_px = np.full((*usable.shape, 2), -1.0, np.float32)
-    at_px[usable] = by.calibration.camera.project(points_mm[usable] @ T[:3, :3].T + T[:3, 3])
+    at_px[usable] = by.camera.project(points_mm[usable] @ T[:3, :3].T + T[:3, 3])
     surface_mm = _bilinear(by.points.points_world_mm, at_px)
     seen = usable & (_bilinear((~_without_jump(by.points)).astype(np.float32), at_px) == 0.0)
-    error_mm = _bilinear(_errors_mm(by.points).astype(np.float32), at_px)
-    return _Sight(
-        seen,
-        _dot(normals, surface_mm - points_mm),
-        np.abs(_dot(normals, error_mm)),
-        surface_mm @ T[2, :3] + T[2, 3] < depth_mm,
-    )
+    offset_mm = _dot(of.normals, surface_mm - points_mm)
+    spread_mm = np.abs(_dot(of.normals, _bilinear(by.errors_mm, at_px)))
+    both_mm, over_sigma = np.hypot(of.spread_mm, spread_mm), np.zeros_like(offset_mm)
+    np.divide(np.abs(offset_mm), both_mm, out=over_sigma, where=seen & (both_mm > 0.0))
+    is_nearer = surface_mm @ T[2, :3] + T[2, 3] < depth_mm
+    return _Sight(seen, offset_mm, spread_mm, over_sigma, is_nearer)
 
 
 def _bilinear(image: FloatImage, at_px: FloatImage) -> FloatImage:
@@ -209,32 +243,8 @@ def _pair(image: BoolImage, axis: int) -> tuple[BoolImage, BoolImage]:
     return first, second
 
 
-def _own_spread_mm(view: CameraView) -> FloatArray:
-    """Return sigma_i of the points along their normals, (row, col)."""
-    normals = view.points.normals_world
-    return np.abs(_dot(normals, _errors_mm(view.points)))
-
-
-def _dot(a: FloatArray | FloatImage, b: FloatArray | FloatImage) -> FloatArray:
-    """Return the scalar products (row, col) of vectors (row, col, xyz)."""
-    return np.asarray(np.einsum("rcx,rcx->rc", a, b, dtype=np.float64))
-
-
-def _over_sigma(view: CameraView, sight: _Sight) -> FloatArray:
-    """Return |s| over its standard deviation, (row, col); 0 where the camera has no surface."""
-    spread_mm = np.hypot(_own_spread_mm(view), sight.spread_mm)
-    ratio = np.zeros_like(spread_mm)
-    np.divide(np.abs(sight.offset_mm), spread_mm, out=ratio, where=sight.seen & (spread_mm > 0.0))
-    return ratio
-
-
-def _birge_ratio(views: Sequence[CameraView], sights: Sequence[Sequence[_Sight]]) -> float:
-    ratios = [
-        _over_sigma(view, sight)[sight.seen]
-        for view, row in zip(views, sights, strict=True)
-        for sight in row
-    ]
-    over_sigma = np.concatenate(ratios)
+def _birge_ratio(sights: Sequence[Sequence[_Sight]]) -> float:
+    over_sigma = np.concatenate([sight.over_sigma[sight.seen] for row in sights for sight in row])
     if not len(over_sigma):
         raise InputError(
             "merge: no two cameras see the same place; give captures of one scene with one "
@@ -243,44 +253,31 @@ def _birge_ratio(views: Sequence[CameraView], sights: Sequence[Sequence[_Sight]]
     return max(1.0, MEDIAN_TO_SIGMA * float(np.median(over_sigma)))
 
 
-def _agreed(view: CameraView, row: Sequence[_Sight], birge: float) -> list[BoolImage]:
-    """Return for each other camera where it observes the same place, (row, col)."""
-    return [sight.seen & (_over_sigma(view, sight) <= GATE * birge) for sight in row]
-
-
-def _through(view: CameraView, row: Sequence[_Sight], birge: float) -> BoolImage:
-    """Return the points, (row, col), behind which another camera observes a surface."""
-    against = [
-        sight.seen & ~sight.is_nearer & ~same
-        for sight, same in zip(row, _agreed(view, row, birge), strict=True)
-    ]
-    return _any(against, view)
-
-
-def _any(masks: Sequence[BoolImage], view: CameraView) -> BoolImage:
-    return np.asarray(np.any([np.zeros_like(view.points.valid), *masks], axis=0))
+def _any(masks: Sequence[BoolImage], surface: _Surface) -> BoolImage:
+    return np.asarray(np.any([np.zeros_like(surface.points.valid), *masks], axis=0))
 
 
 def _fused(
-    view: CameraView, row: Sequence[_Sight], agreed: Sequence[BoolImage], birge: float
+    surface: _Surface, row: Sequence[_Sight], agreed: Sequence[BoolImage], birge: float
 ) -> PointMap:
     """Move the points along their rays to the weighted mean of the surfaces that agree."""
-    own = _weight(_own_spread_mm(view), view.points.valid)
+    points = surface.points
+    own = _weight(surface.spread_mm, points.valid)
     others = [_weight(sight.spread_mm, same) for sight, same in zip(row, agreed, strict=True)]
     shifts_mm = [w * sight.offset_mm for w, sight in zip(others, row, strict=True)]
     total, shift_mm = np.sum([own, *others], axis=0), np.sum(shifts_mm, axis=0)
-    rays = view.points.points_world_mm - view.points.T_world_from_cam[:3, 3]
+    rays = points.points_world_mm - points.T_world_from_cam[:3, 3]
     rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
-    cosine = _dot(rays, view.points.normals_world)
+    cosine = _dot(rays, surface.normals)
     moves = (np.abs(cosine) > LEAST_COSINE) & (total > own)
     along_mm, scale = np.zeros_like(own), np.full_like(own, birge)
     np.divide(shift_mm, total * cosine, out=along_mm, where=moves)
     scale[moves] *= np.sqrt(own[moves] / total[moves])
     return PointMap(
-        (view.points.points_world_mm + rays * along_mm[..., np.newaxis]).astype(np.float32),
-        (view.points.sigma_xyz_mm * scale[..., np.newaxis]).astype(np.float32),
-        view.points.mask_reason,
-        view.points.T_world_from_cam,
+        (points.points_world_mm + rays * along_mm[..., np.newaxis]).astype(np.float32),
+        (points.sigma_xyz_mm * scale[..., np.newaxis]).astype(np.float32),
+        points.mask_reason,
+        points.T_world_from_cam,
     )
 
 
@@ -292,7 +289,7 @@ def _weight(spread_mm: FloatArray, where: BoolImage) -> FloatArray:
 
 
 def _agreement(
-    views: Sequence[CameraView],
+    surfaces: Sequence[_Surface],
     sights: Sequence[Sequence[_Sight]],
     agreed: Sequence[Sequence[BoolImage]],
     through: Sequence[BoolImage],
@@ -303,10 +300,10 @@ def _agreement(
         for row, masks in zip(sights, agreed, strict=True)
         for sight, same in zip(row, masks, strict=True)
     ]
-    shared = [_any(masks, view) for masks, view in zip(agreed, views, strict=True)]
+    shared = [_any(masks, surface) for masks, surface in zip(agreed, surfaces, strict=True)]
     alone = [
-        view.points.valid & ~same & ~gone
-        for view, same, gone in zip(views, shared, through, strict=True)
+        surface.points.valid & ~same & ~gone
+        for surface, same, gone in zip(surfaces, shared, through, strict=True)
     ]
     return Agreement(
         offset_median_mm=float(np.median(np.concatenate(offsets))),

@@ -17,9 +17,9 @@ of a target is used (Schaefer and Strimmer 2005), with weights of G - 1 and of `
 The target is the covariance of independent residuals times one factor, the design effect: the mean
 square of all poses' scores over its expectation for independent residuals, at least 1.
 
-Simulated poses with errors of the dots correlated over a third of the board, 3 to 8 poses: from
-disjoint sets of poses 95 to 98 % of all parameters agree within two standard uncertainties. By the
-covariance of independent residuals it is 50 %.
+From disjoint sets of five simulated poses, with errors of the dots correlated over a third of the
+board, 94 % of all parameters agree within two standard uncertainties. By the covariance of
+independent residuals it is 45 % (`benchmarks/reality_intervals.py`).
 """
 
 from collections.abc import Sequence

@@ -43,8 +43,11 @@ SAMPLE_PX = 72
 # If less than the share ENOUGH of the lit pixels gives points, other orders are tried. An order is
 # reported only if its share is larger by MUCH_MORE, so that a difficult capture passes.
 ENOUGH, MUCH_MORE = 0.8, 0.25
-# A pixel is lit if its frames differ by more than this many standard deviations of its noise.
+# A pixel is lit if its frames differ by more than LIT_SIGMAS standard deviations of its noise. The
+# stated noise may be too small; therefore they must also differ by LIT_SHARE of the difference at
+# well-lit pixels, a percentile of all pixels.
 LIT_SIGMAS = 8.0
+LIT_SHARE, LIT_PERCENTILE = 0.1, 98.0
 LEAST_LIT = 50
 
 Order = tuple[str, list[int]]
@@ -110,9 +113,9 @@ def sample_of(
     sample = np.ascontiguousarray(stack[:, ::stride, ::stride])
     largest = sample.max(axis=0).astype(np.float64)
     span = largest - sample.min(axis=0)
-    is_lit = (span > LIT_SIGMAS * np.sqrt(sensor.variance_dn2(largest))) & (
-        largest < sensor.clipped_from_dn
-    )
+    least_dn = LIT_SHARE * float(np.percentile(span, LIT_PERCENTILE))
+    is_lit = (span > LIT_SIGMAS * np.sqrt(sensor.variance_dn2(largest))) & (span > least_dn)
+    is_lit &= largest < sensor.clipped_from_dn
     thinned = None if calibration is None else _thinned(calibration, stride, sample.shape[1:])
     return Sample(sample, patterns, sensor, thinned, is_lit, stride)
 

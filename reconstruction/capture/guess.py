@@ -26,6 +26,7 @@ from reconstruction.arrays import FloatImage
 from reconstruction.capture.guess_doubts import (
     anchor_doubts,
     content_doubts,
+    gap_doubts,
     left_out_doubts,
     plain_doubts,
     repeated_doubts,
@@ -104,6 +105,7 @@ def guess(folder: Path, size: tuple[int, int]) -> Guess:
     )
     doubts = [
         *(f"{name}: has another size, left out" for name in folder_features.left_out),
+        *gap_doubts([image.file for image in features]),
         *fringe_doubts,
         *(doubt for axis in AXES for doubt in bits[axis].doubts),
         *scattered,

@@ -1,10 +1,10 @@
 """Check a guessed capture.toml against its images: decode them, and try likely other values.
 
 A correct description decodes most lit pixels, and the projector coordinate is continuous from pixel
-to pixel. If it does not, other encodings and orders of the bits are tried, and an encoding is taken
-over if it is the only one that passes. The assumed noise of the
-camera is compared with the scatter of the phase frames around their sinusoids, which includes
-harmonics of a projector with gamma, and flicker between frames.
+to pixel and does not turn back. If it does not, other encodings and orders of the bits are tried,
+and an encoding is taken over if it is the only one that passes. The assumed noise of the camera is
+compared with the scatter of the phase frames around their sinusoids, which includes harmonics of a
+projector with gamma, and flicker between frames.
 """
 
 import tempfile
@@ -22,7 +22,12 @@ from reconstruction.capture.frame_order import ENOUGH, LEAST_LIT, sample_of
 from reconstruction.capture.guess import Guess
 from reconstruction.capture.guess_file import written
 from reconstruction.decoding import DecodeOptions
-from reconstruction.decoding.continuity import DOUBTFUL_SHARE, jump_share
+from reconstruction.decoding.continuity import (
+    DOUBTFUL_SHARE,
+    DOUBTFUL_TURN,
+    jump_share,
+    turned_share,
+)
 from reconstruction.decoding.decode import decode
 from reconstruction.errors import CaptureError
 from reconstruction.patterns import PatternSet
@@ -43,27 +48,33 @@ class DecodingCheck:
     ----------
     share : share of the lit pixels with coordinates, 0 to 1
     jumps : largest share of jumps of a coordinate, see `continuity.jump_share`
+    turned : largest share of the rarer direction of a coordinate, see `continuity.turned_share`
     noise_ratio : measured over assumed standard deviation of the phase frames; None: not known
     why : why the images cannot be decoded; empty if they can
     """
 
     share: float = 0.0
     jumps: float = 0.0
+    turned: float = 0.0
     noise_ratio: float | None = None
     why: str = ""
 
     @property
     def passes(self) -> bool:
-        """Whether most lit pixels have coordinates, and these are continuous."""
-        return not self.why and self.share >= ENOUGH and self.jumps <= DOUBTFUL_SHARE
+        """Whether most lit pixels have coordinates, and these are continuous in one direction."""
+        is_regular = self.jumps <= DOUBTFUL_SHARE and self.turned <= DOUBTFUL_TURN
+        return not self.why and self.share >= ENOUGH and is_regular
 
     def in_words(self) -> str:
         """Return the result as text."""
         if self.why:
             return f"twin decode would end with: {self.why}"
-        return (
+        text = (
             f"{self.share:.0%} of the lit pixels decode, the coordinate jumps at {self.jumps:.0%}"
         )
+        if self.turned <= DOUBTFUL_TURN:
+            return text
+        return f"{text} and turns back in {self.turned:.0%}; the coarsest bit may be missing"
 
 
 @dataclass(frozen=True)
@@ -163,17 +174,19 @@ def _tested(listed: ListedSet, folder: Path) -> DecodingCheck:
         return DecodingCheck(why="too few pixels are lit")
     decoded = decode(stack, patterns, sensor, DecodeOptions(filter_taps=0, frame_gains=False))
     valid = decoded.valid[:: sample.stride, :: sample.stride][sample.is_lit]
+    coordinates = {axis: getattr(decoded, axis).coordinate_px for axis in patterns.axes}
     jumps = [
         jump_share(
-            getattr(decoded, axis).coordinate_px,
+            coordinate_px,
             decoded.valid,
             patterns.period_along(axis),
             is_word=patterns.steps == 0,
         )
-        for axis in patterns.axes
+        for axis, coordinate_px in coordinates.items()
     ]
+    turned = max(turned_share(x_px, decoded.valid) for x_px in coordinates.values())
     ratio = _noise_ratio(sample.stack[:, sample.is_lit].astype(np.float64), patterns, sensor)
-    return DecodingCheck(float(np.mean(valid)), max(jumps), ratio)
+    return DecodingCheck(float(np.mean(valid)), max(jumps), turned, ratio)
 
 
 def _noise_ratio(

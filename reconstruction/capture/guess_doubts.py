@@ -1,6 +1,8 @@
 """List the doubts about guessed patterns: messages of one line that begin with file names."""
 
+import re
 from collections.abc import Iterable, Sequence
+from itertools import pairwise
 
 from reconstruction.capture.image_features import CERTAIN, FrameGroup, ImageFeatures, named
 from reconstruction.capture.uniform_images import UniformImages
@@ -13,6 +15,32 @@ SEVERAL_FRINGES = 1.5
 LITTLE_OF_A_FRINGE = 1.2
 # Two frequencies that differ by less than this, cycles per line, may be equal.
 SAME_PERIOD_CYCLES = 0.25
+# Least share of steps of 1 with which names are taken for consecutive numbers.
+MOSTLY_CONSECUTIVE = 0.8
+
+
+def gap_doubts(files: Sequence[str]) -> list[str]:
+    """Return a doubt for each gap in the numbers of images whose names differ by the number only.
+
+    Parameters
+    ----------
+    files : names of all images
+    """
+    numbered: dict[tuple[str, str], dict[int, str]] = {}
+    for file in files:
+        if match := re.fullmatch(r"(.*?)([0-9]{1,9})([^0-9]*)", file):
+            numbered.setdefault((match[1], match[3]), {})[int(match[2])] = file
+    doubts = []
+    for names in numbered.values():
+        steps = [(low, high) for low, high in pairwise(sorted(names)) if high > low + 1]
+        if len(names) < 3 or len(steps) > (1.0 - MOSTLY_CONSECUTIVE) * (len(names) - 1):
+            continue
+        doubts += [
+            f"{names[low]} and {names[high]}: the numbers between them are missing; an image may be"
+            " missing"
+            for low, high in steps
+        ]
+    return doubts
 
 
 def scattered_doubts(features: Sequence[ImageFeatures], phases: Sequence[FrameGroup]) -> list[str]:

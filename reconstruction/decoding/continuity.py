@@ -1,4 +1,4 @@
-"""Check fringe orders after decoding: whether coordinates of neighbouring pixels are continuous.
+"""Check fringe orders after decoding: whether coordinates are continuous and do not turn back.
 
 A cell is an interval of projector coordinates, one period wide or a larger power of two of it. On a
 continuous surface the coordinate changes in small steps where an image line crosses the border of
@@ -6,6 +6,10 @@ two cells. With Gray frames in a wrong order, or a wrong first shift, it jumps t
 and edges of a real scene cause jumps as well, but rarely at most of the crossings. The measured
 share of crossings with a jump is 0 to 0.34 for correctly decoded real captures with edges of depth.
 It is 0.55 to 1 if two visible, resolved frames were exchanged.
+
+Along a line of the image the coordinate of a surface in front of its surroundings increases, or it
+decreases if the camera's view of the projector is mirrored. Reflected Gray words without their
+coarsest bit increase in one half of the projector and decrease in the other, without a jump.
 """
 
 import numpy as np
@@ -18,6 +22,10 @@ LINES = 64
 # also in widths of a word.
 LEAST_STEPS, LEAST_WORDS = 6.0, 4.0
 LEAST_CROSSINGS = 50
+TURN_PX = 8
+"""Distance of the pixels whose coordinates are compared: beyond the edge of a code word."""
+DOUBTFUL_TURN = 0.15
+"""Share of an image with the opposite direction above which the coarsest bit is doubtful."""
 DOUBTFUL_SHARE = 0.45
 """Share of crossings with a jump above which the fringe orders of a capture are doubtful."""
 
@@ -61,6 +69,29 @@ def jump_share(
             worst = max(worst, _share(lines, cell_px))
         cell_px *= 2.0
     return worst
+
+
+def turned_share(coordinate_px: FloatImage, valid: BoolImage) -> float:
+    """Return the share of pixels at which a coordinate changes in the rarer of two directions.
+
+    The change is that over TURN_PX pixels along rows, or along columns if it is larger there.
+
+    Returns
+    -------
+    in [0, 0.5]; 0 if fewer than LEAST_CROSSINGS pairs of valid pixels exist
+    """
+    changes = []
+    for x_px, is_valid in ((coordinate_px, valid), (coordinate_px.T, valid.T)):
+        pair = is_valid[:, TURN_PX:] & is_valid[:, :-TURN_PX]
+        changes.append((x_px[:, TURN_PX:] - x_px[:, :-TURN_PX])[pair])
+    along = max(
+        changes, key=lambda change: float(np.median(np.abs(change))) if change.size else 0.0
+    )
+    moving = along[along != 0.0]
+    if moving.size < LEAST_CROSSINGS:
+        return 0.0
+    rising = float(np.mean(moving > 0.0))
+    return min(rising, 1.0 - rising)
 
 
 def _places(length: int) -> IntArray:

@@ -145,9 +145,9 @@ class _File:
     def device(self) -> str | None:
         """Device that the file's name contains; None if it contains none."""
         words = {word for word in re.split(r"[\W_]+|(?<=\D)(?=\d)", self.path.stem.lower()) if word}
-        found = [device for device in DEVICES if words & set(DEVICE_NAMES[device])]
+        named = [device for device in DEVICES if words & set(DEVICE_NAMES[device])]
         # "camera2" contains the word camera, but names the second device.
-        return found[-1] if found else None
+        return named[-1] if named else None
 
 
 def _read(path: Path) -> _File:

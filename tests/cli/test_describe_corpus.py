@@ -6,8 +6,9 @@ from benchmarks.reality_captures import verdict_of
 from tests.corpus.captures import write_captured_set
 from twin.cli import run
 
-# Of each code one set; 2: words that only decode as binary, 5: rows, 15: JPEG of a small object.
-SEEDS = 2, 3, 5, 6, 15
+# 2: words that only decode as binary, 5: rows, 15: JPEG of a small object, 180: small object, more
+# noise than assumed.
+SEEDS = 2, 3, 5, 6, 15, 180
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -20,6 +21,19 @@ def test_described_sets_decode_to_their_coordinates(tmp_path, seed):
 def test_small_objects_under_names_without_order_are_unsure(tmp_path, seed):
     captured = write_captured_set(tmp_path / "set", seed)
     assert verdict_of(captured) == "unsure", captured.text
+
+
+@pytest.mark.parametrize(
+    ("seed", "mark"),
+    [(56, "turns back in"), (70, "frame_005.png and frame_007.png"), (112, "11.bmp and 13.bmp")],
+)
+def test_a_missing_image_is_marked(tmp_path, capsys, seed, mark):
+    """56: the coarsest bit under irregular time stamps; 70 and 112: a gap in the numbers."""
+    captured = write_captured_set(tmp_path / "set", seed)
+    assert captured.fault == "a frame is missing"
+    assert run(["describe", str(captured.folder), "--projector", "320", "240"]) == 0
+    unsure = [li for li in capsys.readouterr().out.splitlines() if li.startswith("unsure")]
+    assert any(mark in line for line in unsure)
 
 
 def test_an_encoding_that_only_decodes_is_written_with_a_mark(tmp_path, capsys):

@@ -3,7 +3,13 @@
 import numpy as np
 import pytest
 
-from reconstruction.decoding.continuity import DOUBTFUL_SHARE, jump_share
+from reconstruction.decoding.continuity import (
+    DOUBTFUL_SHARE,
+    DOUBTFUL_TURN,
+    TURN_PX,
+    jump_share,
+    turned_share,
+)
 
 VALID = np.ones((120, 160), bool)
 
@@ -53,3 +59,25 @@ def test_single_wrong_pixels_words_and_empty_maps_are_no_doubt():
     assert jump_share(np.floor(coordinates() / 8.0) * 8.0, VALID, 8.0, is_word=True) == 0.0
     assert jump_share(x_px, np.zeros_like(VALID), 20.0, is_word=False) == 0.0
     assert jump_share(x_px[:2, :2], VALID[:2, :2], 20.0, is_word=False) == 0.0
+
+
+@pytest.mark.parametrize("turn_at", [0.0, 0.3, 0.5])
+@pytest.mark.parametrize("along", ["rows", "columns"])
+def test_a_coordinate_that_turns_back_is_a_doubt(turn_at, along):
+    """Words without their coarsest bit rise up to a column and fall behind it.
+
+    Expected: the share of the pairs of pixels that are completely before the turn, or half of a
+    pair: 160 columns have 152 pairs.
+    """
+    slope = np.broadcast_to(4.0 * np.arange(160, dtype=np.float32), VALID.shape)
+    folded = np.abs(slope - 4.0 * 160 * turn_at)
+    x_px, valid = (folded, VALID) if along == "rows" else (folded.T, VALID.T)
+    expected = max(160 * turn_at - TURN_PX / 2, 0.0) / (160 - TURN_PX)
+    share = turned_share(np.ascontiguousarray(x_px), valid)
+    assert share == pytest.approx(min(expected, 1.0 - expected), abs=0.01)
+    assert (share > DOUBTFUL_TURN) == (turn_at > 0.0)
+
+
+@pytest.mark.parametrize("step_px", [0.0, 40.0, 200.0])
+def test_steps_of_the_scene_do_not_turn_back(step_px):
+    assert turned_share(coordinates(step_px), VALID) < DOUBTFUL_TURN

@@ -12,7 +12,8 @@ from reconstruction.errors import CaptureError
 from reconstruction.rig.calibration import Calibration
 from reconstruction.rig.imported_lens import MOST_REFIT_PX
 from reconstruction.rig.importing import Importing, import_calibration
-from tests.corpus.calibrations import LAYOUTS, RIG, matrix, misread, of_opencv, of_scanner, stored
+from tests.corpus.calibrations import LAYOUTS, of_opencv, of_scanner, stored
+from tests.corpus.rigs import RIG, matrix, misread
 
 CAMERA, PROJECTOR, ROTATION, TRANSLATION_MM = (
     RIG.camera,
@@ -26,9 +27,9 @@ SIZES = Importing(camera_size=(640, 480), projector_size=(912, 1140))
 @pytest.mark.parametrize("name", LAYOUTS)
 def test_each_layout_gives_back_the_rig(name: str, tmp_path: Path):
     layout = LAYOUTS[name]
-    result = import_calibration(layout.write(tmp_path, RIG), layout.options(RIG))
+    result = import_calibration(layout.write(tmp_path, RIG), layout.content.options(RIG))
     assert result.refit_px == (0.0, 0.0)
-    assert misread(result, layout, RIG) == []
+    assert misread(result, layout.content, RIG) == []
 
 
 def test_a_misread_quantity_is_reported(tmp_path: Path):
@@ -36,7 +37,7 @@ def test_a_misread_quantity_is_reported(tmp_path: Path):
     result = import_calibration(of_scanner(tmp_path), SIZES)
     other = replace(CAMERA, height_px=481, cx_px=322.0)
     changed = replace(RIG, camera=other, translation_mm=1.001 * TRANSLATION_MM)
-    assert misread(result, LAYOUTS["scan3d"], changed) == [
+    assert misread(result, LAYOUTS["scan3d"].content, changed) == [
         "camera size",
         "camera matrix",
         "translation",
@@ -44,11 +45,11 @@ def test_a_misread_quantity_is_reported(tmp_path: Path):
 
 
 def test_public_files_are_read_right():
-    found = list(public_rigs(CASES))
-    if not found:
+    public = list(public_rigs(CASES))
+    if not public:
         pytest.skip("needs ../shared/cases")
-    for files, rig, layout in found:
-        assert misread(import_calibration(files, layout.options(rig)), layout, rig) == []
+    for files, rig, content in public:
+        assert misread(import_calibration(files, content.options(rig)), content, rig) == []
 
 
 def test_the_world_lies_where_the_axes_come_nearest(tmp_path: Path):

@@ -16,9 +16,6 @@ from reconstruction.rig.pose_conventions import POSES, in_convention
 from reconstruction.rig.sensor import SensorNoise
 from tests.corpus.calibrations import (
     LAYOUTS,
-    RIG,
-    Rig,
-    matrix,
     of_colmap,
     of_kalibr,
     of_ros,
@@ -28,6 +25,7 @@ from tests.corpus.calibrations import (
     stored,
     written,
 )
+from tests.corpus.rigs import RIG, Rig, matrix
 
 SIZES = Importing(camera_size=(640, 480), projector_size=(912, 1140))
 

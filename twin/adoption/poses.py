@@ -121,8 +121,8 @@ def _require_square(calibration: Calibration) -> None:
         if not abs(ratio - 1.0) <= _MOST_OFF_SQUARE:
             raise InputError(
                 f"calibration: the {name}'s pixels are {ratio:.3g} times as wide as high "
-                "(fy / fx); a rig file has square pixels: count columns and rows as of square "
-                "pixels, in captures and calibration"
+                "(fy / fx); only square pixels are adopted: count columns and rows as of "
+                "square pixels, in captures and calibration, and set pixel_ratio in the rig file"
             )
 
 

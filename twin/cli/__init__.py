@@ -9,11 +9,11 @@ import sys
 from reconstruction.machine import keep_freed_memory
 
 # These modules register their commands with the application.
-from twin.cli import adopt as adopt
 from twin.cli import calibration as calibration
 from twin.cli import captures as captures
 from twin.cli import forward as forward
-from twin.cli import identify as identify
+from twin.cli import inverse as inverse
+from twin.cli import results as results
 from twin.cli import start as start
 from twin.cli import studies as studies
 from twin.cli import view as view

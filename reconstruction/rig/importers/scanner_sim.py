@@ -37,9 +37,9 @@ class ScannerSim(Json):
         numbers = super().read(path)
         is_projector = numbers.keys() >= _POSE.keys()
         for name, shape in (_LENS | _POSE if is_projector else _LENS).items():
-            found = numbers[name].shape if name in numbers else "none"
-            if found != shape:
-                raise CaptureError(f"{path}: {name}: found shape {found}, allowed {shape}")
+            stored = numbers[name].shape if name in numbers else "none"
+            if stored != shape:
+                raise CaptureError(f"{path}: {name}: found shape {stored}, allowed {shape}")
         device, first_px = ("projector", 0.5) if is_projector else ("camera", 0.0)
         from_corner = np.array([[0.0, 0.0, first_px], [0.0, 0.0, first_px], [0.0, 0.0, 0.0]])
         result = {

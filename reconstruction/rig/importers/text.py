@@ -47,10 +47,10 @@ class Text(Importer):
                 name = words if words[0].isalpha() or words[0] == "_" else ""
             if name:
                 numbers.setdefault(name, []).extend(values)
-        found = {name: np.array(values) for name, values in numbers.items() if values}
-        if not found:
+        arrays = {name: np.array(values) for name, values in numbers.items() if values}
+        if not arrays:
             raise CaptureError(f"{path}: found no name with numbers; write NAME, then its numbers")
-        return found
+        return arrays
 
 
 def _split(line: str) -> tuple[str, list[float]]:
