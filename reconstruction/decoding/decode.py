@@ -16,7 +16,7 @@ from reconstruction.arrays import FloatImage, Reason, Stack
 from reconstruction.codes import Rule, Unwrap
 from reconstruction.compact import TURN_STEPS, Half, Orders, Share, Turns
 from reconstruction.compiling import run_over_rows
-from reconstruction.decoding import AxisDecode, Decoded, DecodeOptions, Expect
+from reconstruction.decoding import AxisDecode, Decoded, DecodeOptions, Expect, PhaseReference
 from reconstruction.decoding._decode import Maps, Plan, decode_rows
 from reconstruction.decoding._filter import Smoothed, Unfiltered, smooth
 from reconstruction.decoding._micro import decode_micro_rows
@@ -74,12 +74,12 @@ def decode(
     Raises
     ------
     InputError : the stack has a wrong type or number of axes or frames; `scale` has a wrong shape
-        or values that are not positive; `response` is given with a code that cannot correct it;
-        `unwrap` is given for patterns without fringes, or returns a wrong shape
+        or values that are not positive; `response` or a reference is given with a code that cannot
+        use it; `unwrap` is given for patterns without fringes, or returns a wrong shape
     """
-    _check(stack, patterns, scale, response)
-    frames = np.ascontiguousarray(stack)
     options = options or DecodeOptions()
+    _check(stack, patterns, scale, response, None if unwrap else options.reference)
+    frames = np.ascontiguousarray(stack)
     ripple = ripple_of(patterns, response)
     rule = patterns.kind.rule if unwrap is None else Rule.OWN
     # For displaced patterns the kernels decode x + displacement; numpy functions get phases at x.
@@ -128,8 +128,14 @@ def _check(
     patterns: PatternSet,
     scale: FloatImage | None,
     response: ProjectorResponse | None,
+    reference: PhaseReference | None,
 ) -> None:
     _check_stack(stack, patterns)
+    if reference is not None and patterns.kind.numbers_pixels:
+        raise InputError(
+            "decode reference_pixels and reference_z_mm have no effect with patterns code "
+            f"{patterns.code!r}, which numbers the fringes itself; remove them"
+        )
     if response is not None and not patterns.kind.takes_response:
         raise InputError(
             f"response is stated with patterns code {patterns.code!r}: its single images do not"

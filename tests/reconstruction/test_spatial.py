@@ -199,3 +199,12 @@ def test_orders_of_a_real_skull_are_those_of_temporal_unwrapping():
     assert main.sum() > 0.95 * usable.sum()
     offset = np.rint(16.0 * whole - turns) - result.orders
     assert np.mean(offset[main] == np.median(offset[main])) > 0.99
+
+
+def test_a_reference_without_effect_is_one_line(synthesise):
+    patterns = PatternSet(160, 96, period_px=16, steps=4, code="gray")
+    column_px, row_px = np.meshgrid(np.linspace(20, 120, 40), np.linspace(20, 70, 30))
+    stack = np.rint(synthesise(patterns, column_px, row_px)).astype(np.uint8)
+    options = DecodeOptions(reference=PhaseReference(pixels=((5, 5, 30.0, 30.0),)))
+    with pytest.raises(InputError, match="no effect with patterns code 'gray'"):
+        decode(stack, patterns, SensorNoise(0.1, 5.0, 4.0, 255.0), options)
