@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[2]
 AT_WORK = """
 import hashlib, sys
 from contextlib import contextmanager
-from twin.cli import calibration, captures, forward, identify, main, studies
+from twin.cli import calibration, captures, forward, inverse, main, studies
 
 def call(stage, share):
     print("busy", flush=True)
@@ -24,7 +24,7 @@ def call(stage, share):
 def progress_bars():
     yield call
 
-for module in (calibration, captures, forward, identify, studies):
+for module in (calibration, captures, forward, inverse, studies):
     module.progress_bars = progress_bars
 main()
 """
