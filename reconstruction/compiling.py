@@ -8,16 +8,15 @@ them at the same time.
 import hashlib
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, suppress
-from functools import partial
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
 from numba.core import event
 
+from reconstruction.kernel_cache import protect
 from reconstruction.machine import threads
-from reconstruction.reading import is_regular
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -86,18 +85,14 @@ def compile_and_keep(function: Function, options: dict[str, Any], source_digest:
     options : options of `numba.njit`
     source_digest : digest of all sources; stored code with another digest is compiled again
     """
+    if numba.config.DISABLE_JIT:  # to run the kernels in a debugger
+        return function
     options = {**options, "no_cfunc_wrapper": True}  # no kernel is called from C
     try:
         kernel = numba.njit(cache=True, **options)(function)
     except RuntimeError:  # no writable cache folder: every process compiles
         return cast(Function, numba.njit(**options)(function))
-    # Numba's cache checks a function's own file only. It would return code with an outdated
-    # function or constant of another file inlined.
-    stored = kernel._cache._cache_file
-    stored._source_stamp = source_digest
-    stored._load_index = partial(_load_index, stored)
-    stored._load_data = partial(_load_data, stored)
-    kernel._cache.save_overload = partial(_save, kernel._cache)
+    protect(kernel, source_digest)
     return cast(Function, kernel)
 
 
@@ -120,34 +115,6 @@ class _Listener(event.Listener):  # type: ignore[misc]  # numba has no type info
 
     def on_end(self, event: Any) -> None:
         pass
-
-
-def _load_index(stored: Any) -> Any:
-    """Return the stored versions of a kernel by the types of their arguments.
-
-    The result is empty, so that the kernel is compiled again, in two cases:
-
-    - Reading the file with the versions fails, because it names a type that no longer exists.
-    - It is not a regular file. A pipe is not opened, because that may never return.
-    """
-    try:
-        is_stored = is_regular(Path(stored._index_path))
-        return type(stored)._load_index(stored) if is_stored else {}
-    except (AttributeError, ImportError):
-        return {}
-
-
-def _load_data(stored: Any, name: str) -> Any:
-    """Return a stored version of a kernel, or raise OSError, which makes Numba compile it again."""
-    if not is_regular(Path(stored._data_path(name))):
-        raise FileNotFoundError(name)
-    return type(stored)._load_data(stored, name)
-
-
-def _save(cache: Any, signature: Any, compiled: Any) -> None:
-    """Store a compiled kernel; if the disk is full or read-only, the next process compiles it."""
-    with suppress(OSError):
-        type(cache).save_overload(cache, signature, compiled)
 
 
 def run_over_rows(

@@ -7,7 +7,7 @@ import textwrap
 
 import numpy as np
 
-from reconstruction import compiling, errors, machine, native, reading, sealing
+from reconstruction import compiling, errors, kernel_cache, machine, native, reading, sealing
 from reconstruction.decoding._decode import decode_band
 
 
@@ -55,7 +55,7 @@ def run_kernel(folder, files, program):
     package = folder / "reconstruction"
     package.mkdir(exist_ok=True)
     (package / "__init__.py").touch()  # or the installed package would win
-    for module in (compiling, machine, errors, native, reading, sealing):
+    for module in (compiling, errors, kernel_cache, machine, native, reading, sealing):
         shutil.copy(module.__file__, package)
     for name, text in (files | {"_outer.py": textwrap.dedent(program)}).items():
         (package / name).parent.mkdir(exist_ok=True)

@@ -18,6 +18,7 @@ from twin.cli import start as start
 from twin.cli import studies as studies
 from twin.cli import view as view
 from twin.cli.app import app, guarded
+from twin.cli.environment import check_environment, prepare_environment
 from twin.cli.plugins import load_plugins
 from twin.cli.talk import choose_level, introduce
 from twin.working import end_process, end_within, unwind_on_signals
@@ -38,6 +39,7 @@ def run(arguments: list[str] | None = None) -> int:
 
 
 def _dispatch(words: list[str]) -> int | None:
+    check_environment()
     introduce()
     written = calibration.with_repeated_options(load_plugins(words))
     done = app(written, exit_on_error=False, print_error=False, result_action="return_value")
@@ -46,6 +48,7 @@ def _dispatch(words: list[str]) -> int | None:
 
 def main() -> None:
     """Entry point of the `twin` command."""
+    prepare_environment()
     gc.set_threshold(OBJECTS_PER_COLLECTION)
     keep_freed_memory()
     unwind_on_signals()

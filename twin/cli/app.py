@@ -124,6 +124,8 @@ def _of_the_system(error: OSError) -> tuple[str, int] | None:
         where = error.filename or "writing"
         message = f"{where}: no room left ({error.strerror}); make room, or write to another disk"
         return message, FAILURE
+    if error.errno in (errno.EMFILE, errno.ENFILE):
+        return f"{error.strerror}; raise the limit with: ulimit -n 256", FAILURE
     return None
 
 
