@@ -73,7 +73,7 @@ def no_warnings():
         ("large.stl", stl(BOX * 1e30), r"found a size of 4e\+30 .* allowed 1e-06 to 1e\+06"),
         ("small.stl", stl(BOX * 1e-30), "found a size of 4e-30"),
         ("turned.stl", stl(half_turned()), "face both inwards and outwards"),
-        ("many.stl", bytes(80) + struct.pack("<I", 2**32 - 1) + bytes(100), "found no triangles"),
+        ("many.stl", bytes(80) + struct.pack("<I", 2**32 - 1) + bytes(100), "found a size of 0"),
         ("empty.stl", b"", "cannot be read|found no triangles"),
         ("two.obj", b"v 0 0 0\nv 1 0 0\nf 1 2\n", "found no triangles"),
         (

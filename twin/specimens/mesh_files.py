@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from reconstruction.arrays import FloatArray, IntArray
 from reconstruction.errors import InputError, one_line
 from reconstruction.reading import is_regular, read_bytes
 from twin.assets import mesh_path
+from twin.specimens.stl_files import stl_candidates
 
 if TYPE_CHECKING:
     import trimesh
@@ -27,6 +29,9 @@ _SIZE_MM = 0.1, 1000.0
 # Least volume over that of a cube of the same size, far below that of a needle: a surface with less
 # volume has no interior.
 _LEAST_FILL = 1e-8
+# Vertices of a surface with open edges are the same if they differ by less than this number of
+# steps of single precision at the largest coordinate.
+_ROUNDING_STEPS = 4.0
 
 
 def read_closed_mesh(key: str, name: str) -> "trimesh.Trimesh":
@@ -42,8 +47,6 @@ def read_closed_mesh(key: str, name: str) -> "trimesh.Trimesh":
     InputError : the file is missing or no mesh, or the mesh is empty, not watertight or without
         volume
     """
-    import trimesh
-
     path = _find(key, name)
     content = read_bytes(path, _MOST_BYTES).removeprefix(codecs.BOM_UTF8)
     kind = path.suffix[1:].lower()
@@ -53,18 +56,45 @@ def read_closed_mesh(key: str, name: str) -> "trimesh.Trimesh":
         )
     # Large numbers overflow in trimesh's derived quantities; they are reported below.
     with np.errstate(all="ignore"):
-        try:
-            # As bytes: given a name, trimesh would also open images and materials.
-            surface = trimesh.load_mesh(io.BytesIO(content), file_type=kind, process=False)
-        except Exception as error:  # trimesh's readers raise different types
-            reason = one_line(error) or type(error).__name__
-            raise InputError(f"{key}: {path}: cannot be read ({reason})") from error
-        _require_numbers(f"{key}: {path}", surface)
-        surface = _welded(surface)
+        surface = _stl(f"{key}: {path}", content) if kind == "stl" else _other(key, path, content)
         _require_closed(f"{key}: {path}", surface)
         if surface.volume < 0.0:  # every triangle has the wrong orientation
             surface.invert()
     return surface
+
+
+def _other(key: str, path: Path, content: bytes) -> "trimesh.Trimesh":
+    """Return the surface of a PLY or OBJ file."""
+    import trimesh
+
+    try:
+        # As bytes: given a name, trimesh would also open images and materials.
+        surface = trimesh.load_mesh(
+            io.BytesIO(content), file_type=path.suffix[1:].lower(), process=False
+        )
+    except Exception as error:  # trimesh's readers raise different types
+        reason = one_line(error) or type(error).__name__
+        raise InputError(f"{key}: {path}: cannot be read ({reason})") from error
+    _require_numbers(f"{key}: {path}", surface)
+    return _welded(surface)
+
+
+def _stl(where: str, content: bytes) -> "trimesh.Trimesh":
+    """Return the first closed surface among the candidates of an STL file, or the first of all."""
+    import trimesh
+
+    first = None
+    for corners in stl_candidates(where, content):
+        surface = trimesh.Trimesh(
+            corners.reshape(-1, 3), np.arange(corners.size // 3).reshape(-1, 3), process=False
+        )
+        _require_numbers(where, surface)
+        surface = _welded(surface)
+        if surface.is_watertight:
+            return surface
+        first = first or surface
+    assert first is not None  # there is at least one candidate
+    return first
 
 
 def read_body_mm(key: str, name: str, scale_key: str, mm_per_unit: float) -> "trimesh.Trimesh":
@@ -102,9 +132,31 @@ def _welded(surface: "trimesh.Trimesh") -> "trimesh.Trimesh":
 
     joined = trimesh.Trimesh(surface.vertices, surface.faces, process=False)
     joined.merge_vertices()
+    if not joined.is_watertight:
+        joined.faces = _same_position(joined.vertices)[joined.faces]
+        joined.remove_unreferenced_vertices()
     a, b, c = joined.faces.T
     joined.update_faces((a != b) & (b != c) & (c != a))  # removes triangles that became lines
     return joined
+
+
+def _same_position(vertices: FloatArray) -> IntArray:
+    """Return for each vertex the first one of those that differ from it by rounding only.
+
+    Files often have numbers of single precision: the same corner, computed for two triangles, then
+    differs in the last digit.
+    """
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import KDTree
+
+    distance = _ROUNDING_STEPS * float(np.finfo(np.float32).eps * np.abs(vertices).max())
+    pairs = KDTree(vertices).query_pairs(distance, output_type="ndarray")
+    size = len(vertices)
+    links = coo_matrix((np.ones(len(pairs)), pairs.T), shape=(size, size))
+    _, group = connected_components(links, directed=False)
+    _, first = np.unique(group, return_index=True)
+    return np.asarray(first[group])
 
 
 def _require_numbers(where: str, surface: object) -> None:

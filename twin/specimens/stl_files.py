@@ -1,0 +1,88 @@
+"""Triangles of STL files, also of files that bend the format as other readers accept.
+
+- Binary files may have a header that begins with "solid", a count of 0 or another wrong count, and
+  further bytes at the end.
+- Text files may have any case, line ends and indentation, no `endsolid`, several solids, decimal
+  commas, and exponents such as 1.0D+00.
+
+An STL file repeats the corners of its triangles; `twin.specimens.mesh_files` merges them.
+"""
+
+import re
+import struct
+from collections.abc import Iterator
+
+import numpy as np
+
+from reconstruction.arrays import FloatArray
+from reconstruction.errors import InputError
+
+_HEADER_BYTES, _COUNT_BYTES = 80, 4
+_RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+_NUMBER = rb"([-+]?(?:[\d.,]+(?:[ed][-+]?\d+)?|nan|inf(?:inity)?))"
+_VERTEX = re.compile(rb"\bvertex[\s;]+" + rb"[\s;]+".join([_NUMBER] * 3))
+_WORD = re.compile(rb"\bvertex[\s;]+[-+.\d]")
+
+
+def stl_candidates(where: str, content: bytes) -> Iterator[FloatArray]:
+    """Yield the possible triangles of an STL file, the most probable first.
+
+    A binary file has more than one possible number of triangles if its count and its size differ
+    by whole triangles. The caller takes the first one that is a closed surface.
+
+    Parameters
+    ----------
+    where : key and file, for messages
+    content : bytes of the file
+
+    Yields
+    ------
+    (n, 3, xyz) float, in the file's units; corners
+
+    Raises
+    ------
+    InputError : the file ends within a triangle, or a vertex has no three numbers
+    """
+    if b"\0" in content or b"vertex" not in content[: 2**16].lower():
+        yield from _binary(where, content)
+    else:
+        yield _text(where, content.lower())
+
+
+def _binary(where: str, content: bytes) -> Iterator[FloatArray]:
+    start = _HEADER_BYTES + _COUNT_BYTES
+    if len(content) < start + _RECORD.itemsize:
+        raise InputError(f"{where}: found no triangles; give a closed surface")
+    stated = struct.unpack_from("<I", content, _HEADER_BYTES)[0]
+    complete, rest = divmod(len(content) - start, _RECORD.itemsize)
+    if stated > complete and rest:
+        raise InputError(
+            f"{where}: ends within triangle {complete + 1} of {stated}; copy or export it again"
+        )
+    counts = [stated] if 0 < stated <= complete else []
+    if complete not in counts and (not rest or not counts):
+        counts.append(complete)
+    for count in counts:
+        records = np.frombuffer(content, _RECORD, count, start)
+        yield records["corners"].astype(np.float64)
+
+
+def _text(where: str, content: bytes) -> FloatArray:
+    vertices = _VERTEX.findall(content)
+    if len(vertices) != len(_WORD.findall(content)):
+        raise InputError(f"{where}: found a vertex without three numbers; export it again")
+    if not vertices or len(vertices) % 3:
+        raise InputError(
+            f"{where}: found {len(vertices)} vertices, no whole number of triangles; copy or export"
+            " it again"
+        )
+    try:
+        numbers = [[_float(word) for word in vertex] for vertex in vertices]
+    except ValueError as error:
+        raise InputError(f"{where}: a vertex has no number ({error}); export it again") from error
+    return np.array(numbers).reshape(-1, 3, 3)
+
+
+def _float(word: bytes) -> float:
+    """Return a number that may have a decimal comma, a comma behind it, or a Fortran exponent."""
+    return float(word.rstrip(b",").replace(b",", b".").replace(b"d", b"e"))
