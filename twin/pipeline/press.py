@@ -20,7 +20,7 @@ from twin.mechanics import (
     textured,
 )
 from twin.mechanics.choice import unit_press, with_modulus
-from twin.mechanics.models import model_of
+from twin.mechanics.models import PressInput, model_of
 from twin.pipeline.memory import Memory
 
 Progress = Callable[[float], None]
@@ -126,7 +126,10 @@ def _smooth(
             "press", experiment, (), lambda watched: PressedFace.of(press_smooth(watched, progress))
         )
         return own.value, own.token
-    scaled = with_modulus(shape.value.pressed, experiment.elastomer)
+    case = PressInput(
+        experiment.mechanics, experiment.specimen, experiment.elastomer, experiment.press
+    )
+    scaled = with_modulus(case, shape.value.pressed)
     return PressedFace(scaled, shape.value.face_digest), shape.token
 
 
