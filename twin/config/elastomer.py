@@ -173,7 +173,7 @@ class Elastomer(Model):
         return -self.mounted_thickness_mm if self.layout == "opposite_face" else 0.0
 
 
-def _zero_excluded(description: str) -> Any:
+def zero_excluded(description: str) -> Any:
     """Return a field of 0 that is excluded then: digests of experiments without it stay."""
     return Field(default=0.0, exclude_if=lambda value: value == 0.0, description=description)
 
@@ -202,18 +202,18 @@ class Press(Model):
         default=0.025, description="mesh pitch of the coated face"
     )
 
-    ramp_s: HoldTime = _zero_excluded(
+    ramp_s: HoldTime = zero_excluded(
         "duration of the press at constant speed, or of a force that grows in proportion to time; "
         "0: a step (with elastomer.relaxation)"
     )
-    hold_s: HoldTime = _zero_excluded(
+    hold_s: HoldTime = zero_excluded(
         "time from the end of the press to the measurement (with elastomer.relaxation)"
     )
-    slide_x_mm: SlideTravel = _zero_excluded(
+    slide_x_mm: SlideTravel = zero_excluded(
         "travel of the specimen along world x after the press, to its pose in [specimen] "
         "(spectral model, contact_face, with elastomer.friction_coefficient)"
     )
-    slide_y_mm: SlideTravel = _zero_excluded("as slide_x_mm, along world y")
+    slide_y_mm: SlideTravel = zero_excluded("as slide_x_mm, along world y")
 
     @property
     def slides(self) -> bool:

@@ -21,6 +21,8 @@ eigenvalues x_j and eigenvectors z_j of the symmetric matrix D - v v^T therefore
 """
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Literal, Protocol
 
 import numpy as np
 from scipy.optimize import brentq
@@ -83,8 +85,24 @@ def relaxes(elastomer: Elastomer, load: Press) -> bool:
     return elastomer.relaxation is not None and (load.hold_s > 0 or load.ramp_s > 0)
 
 
+class HeldLoad(Protocol):
+    """Load of a press with its times: `Press`, or the measured load of a layer."""
+
+    @property
+    def control(self) -> Literal["depth", "force"]:
+        """Whether travel or force was prescribed."""
+
+    @property
+    def ramp_s(self) -> float:
+        """Duration of the press."""
+
+    @property
+    def hold_s(self) -> float:
+        """Time from the end of the press to the measurement."""
+
+
 def relaxed_share(
-    relaxation: Relaxation, load: Press, elastic_forces: FloatArray | None = None
+    relaxation: Relaxation, load: HeldLoad, elastic_forces: FloatArray | None = None
 ) -> float:
     """Return the modulus of the equivalent elastic press over the initial modulus, 0 to 1.
 
@@ -92,7 +110,7 @@ def relaxed_share(
     ----------
     load : control, duration of the press and time of the measurement
     elastic_forces : (n,) force of an elastic elastomer at n equal steps of the travel, from the
-        first step to the whole travel, in any unit; only for a ramp of the travel. None: a step
+        first step to the whole travel, in any unit. None: proportional to the time of the ramp
 
     Returns
     -------
@@ -103,10 +121,10 @@ def relaxed_share(
     if load.control == "force":
         return 1 / creep_function(relaxation).mean(load.hold_s, end)
     share = relaxation_function(relaxation)
-    if elastic_forces is None or load.ramp_s == 0:
-        return share(load.hold_s)
+    if elastic_forces is None:
+        return share.mean(load.hold_s, end)
     ages = end - np.linspace(0.0, load.ramp_s, elastic_forces.size + 1)
-    means = [share.mean(last, first) for first, last in zip(ages[:-1], ages[1:], strict=True)]
+    means = [share.mean(last, first) for first, last in pairwise(ages)]
     steps = np.diff(elastic_forces, prepend=0.0)
     return float(np.dot(means, steps) / elastic_forces[-1])
 

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import fft
 
-from reconstruction.arrays import FloatArray
+from reconstruction.arrays import BoolArray, FloatArray
 from twin.mechanics.layer import BondedLayer, periodic_waves
 from twin.mechanics.patch import ComplexArray, Span, periodic_patch
 
@@ -92,14 +92,15 @@ class ShearedLayer:
     def _lifts(self) -> tuple[ComplexArray, ComplexArray]:
         k_x, k_y, k = self._waves
         coupling = self.layer.tangential_compliance / k
-        lift_x, lift_y = -1j * coupling * k_x, -1j * coupling * k_y
+        lift_x, lift_y = (np.zeros_like(k, dtype=np.complex128) for _ in range(2))
+        lift_x.imag, lift_y.imag = -coupling * k_x, -coupling * k_y
         # The shortest wave has no slope on the grid.
         lift_x[:, -1] *= self.layer.cols % 2
         lift_y[self.layer.rows // 2] *= self.layer.rows % 2
         return lift_x, lift_y
 
     @property
-    def _shortest(self) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+    def _shortest(self) -> BoolArray:
         rows, cols = self.layer.rows, self.layer.cols
         shortest = np.zeros((rows, cols // 2 + 1), dtype=bool)
         shortest[:, -1] = cols % 2 == 0
@@ -108,7 +109,7 @@ class ShearedLayer:
 
     @cached_property
     def _waves(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        k_x, k_y = np.broadcast_arrays(*(wave for wave in _crossed(self.layer)))
+        k_x, k_y = np.meshgrid(*periodic_waves(self.layer))
         k = np.hypot(k_x, k_y)
         k[0, 0] = 1.0  # placeholder: the mean is set separately
         return k_x, k_y, k
@@ -119,11 +120,6 @@ class ShearedLayer:
     def _field(self, spectrum: FloatArray | ComplexArray) -> FloatArray:
         field: FloatArray = fft.irfft2(spectrum, s=(self.layer.rows, self.layer.cols))
         return field
-
-
-def _crossed(layer: BondedLayer) -> tuple[FloatArray, FloatArray]:
-    k_x, k_y = periodic_waves(layer)
-    return k_x, k_y[:, None]
 
 
 @dataclass(frozen=True, eq=False)

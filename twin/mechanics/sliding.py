@@ -192,7 +192,8 @@ def slid_press(
     shape, elastomer, load = pressed_from
     modulus_kpa, mu = pressed.young_modulus_kpa, elastomer.friction_coefficient
     layer = build_layer(elastomer, load, shape, modulus_kpa)
-    assert isinstance(layer, BondedLayer) and mu is not None  # `check_slide`
+    assert isinstance(layer, BondedLayer)  # `check_slide`
+    assert mu is not None
     height = shape.height_above_lowest(layer.x_mm, layer.y_mm)
     flat_mm = pressed.touched_face_mm - elastomer.touched_plane_mm
     start = Contact(pressed.pressure_kpa / modulus_kpa, flat_mm, pressed.depth_mm, 0)

@@ -62,7 +62,7 @@ def press(experiment: Experiment, memory: Memory, progress: Progress | None = No
     InputError : the press is invalid, or its solver does not converge
     """
     smooth, token = _smooth(experiment, memory, progress)
-    made_from = token, smooth.pressed.young_modulus_kpa
+    made_from = token, smooth.pressed.young_modulus_kpa, smooth.pressed.initial_force_n
     return memory.recall(
         "texture", experiment, made_from, lambda watched: _with_texture(watched, smooth)
     ).value
