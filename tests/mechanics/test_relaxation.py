@@ -185,7 +185,7 @@ def test_a_ramp_converges_with_its_steps() -> None:
 
 
 def test_waiting_time() -> None:
-    """After it the relief changes by the given amount; with a given travel the relief is at rest."""
+    """After it the relief changes by the given amount; with a given travel it does not change."""
     coarse = {"solver_pitch_mm": 0.4}
     case = PressInput(SPECTRAL, BALL, gel(), with_force(**coarse))
     wait_s = waiting_time_s(MODELS["spectral"], case, 5.0)

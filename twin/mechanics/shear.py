@@ -56,11 +56,11 @@ class ShearedLayer:
             self._field(xy * spectra[0] + yy * spectra[1]),
         )
 
-    def lift(self, traction: InPlane) -> FloatArray:
-        """Return the displacement of the touched face along the press, mm, for the same."""
+    def deflect(self, traction: InPlane) -> FloatArray:
+        """Return the touched face's deflection, mm, positive along the press, for the same."""
         spectra = self._spectra(traction)
-        lift_x, lift_y = self._lifts
-        return self._field(lift_x * spectra[0] + lift_y * spectra[1])
+        normal_x, normal_y = self._couplings
+        return self._field(normal_x * spectra[0] + normal_y * spectra[1])
 
     def patch(self, rows: Span, cols: Span) -> "ShearPatch":
         """Return the in-plane response of a rectangle of cells to traction on these cells."""
@@ -89,15 +89,15 @@ class ShearedLayer:
         return xx, xy, yy
 
     @cached_property
-    def _lifts(self) -> tuple[ComplexArray, ComplexArray]:
+    def _couplings(self) -> tuple[ComplexArray, ComplexArray]:
         k_x, k_y, k = self._waves
         coupling = self.layer.tangential_compliance / k
-        lift_x, lift_y = (np.zeros_like(k, dtype=np.complex128) for _ in range(2))
-        lift_x.imag, lift_y.imag = -coupling * k_x, -coupling * k_y
+        normal_x, normal_y = (np.zeros_like(k, dtype=np.complex128) for _ in range(2))
+        normal_x.imag, normal_y.imag = -coupling * k_x, -coupling * k_y
         # The shortest wave has no slope on the grid.
-        lift_x[:, -1] *= self.layer.cols % 2
-        lift_y[self.layer.rows // 2] *= self.layer.rows % 2
-        return lift_x, lift_y
+        normal_x[:, -1] *= self.layer.cols % 2
+        normal_y[self.layer.rows // 2] *= self.layer.rows % 2
+        return normal_x, normal_y
 
     @property
     def _shortest(self) -> BoolArray:

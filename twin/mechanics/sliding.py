@@ -3,9 +3,9 @@
 The press is frictionless; friction acts from the beginning of the slide. Fields are in the frame
 that moves with the specimen: a bonded layer is the same at each place, so that the pressure moves
 with the specimen. Each increment of the travel is solved for traction (`friction`) and pressure in
-turns until both agree: the traction lifts the face in front of the specimen and lowers it behind,
-the pressure displaces it in its plane. Strains are small: a slip is not large enough to change the
-traction's place on the layer within one increment.
+turns until both agree: the traction deflects the face against the press in front of the specimen
+and along it behind, the pressure displaces the face in its plane. The slip also carries material
+through the frame; its effect on displacements is of the order of the strain, and is neglected.
 
 Arrays are (row, col) on the layer's cells; pressure and traction are divided by Young's modulus.
 """
@@ -20,7 +20,7 @@ from twin.config.models import Elastomer, Press
 from twin.mechanics.contact import Contact, solve_on_layer
 from twin.mechanics.control import Control, inner
 from twin.mechanics.errors import PressError, SolverError
-from twin.mechanics.friction import solve_friction
+from twin.mechanics.friction import limited, solve_friction
 from twin.mechanics.layer import BondedLayer
 from twin.mechanics.layouts import Preload, build_layer
 from twin.mechanics.patch import Span
@@ -112,10 +112,11 @@ class _Increment:
         layer, contact, traction = self.sheared.layer, start.contact, start.traction
         for _ in range(_MOST_TURNS):
             traction = self._traction(contact, start, moved_mm)
-            lift = self.sheared.lift(traction)
-            solved = solve_on_layer(layer, self.height_mm + lift, self.control)
+            deflection = self.sheared.deflect(traction)
+            solved = solve_on_layer(layer, self.height_mm + deflection, self.control)
             change = float(np.abs(solved.pressure - contact.pressure).sum())
-            contact = replace(solved, deflection_mm=solved.deflection_mm + lift)
+            contact = replace(solved, deflection_mm=solved.deflection_mm + deflection)
+            traction = limited(traction, self.mu * contact.pressure)
             if change <= _TOLERANCE * float(contact.pressure.sum()):
                 return self._state(start, contact, traction, moved_mm)
         raise SolverError(
