@@ -67,7 +67,7 @@ def test_partial_slip_of_a_ball_on_a_thick_layer(share: float) -> None:
     travel += share * MU * load * excess / (4 * np.pi * layer.thickness_mm)
     bound = MU * contact.pressure[patch.cells]
     still, moved = np.zeros_like(bound), np.full_like(bound, travel)
-    traction = solve_friction(patch, bound, InPlane(still, still), InPlane(moved, still))
+    traction = solve_friction(patch, bound, InPlane(moved, still), InPlane(still, still))
     assert force_mm2(layer, traction.x) == pytest.approx(share * MU * load, rel=0.03)
     sticking = np.hypot(*traction) < (1 - 1e-3) * bound
     stick_radius = float(np.sqrt(sticking.sum() * layer.cell_area_mm2 / np.pi))

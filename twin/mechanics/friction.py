@@ -21,12 +21,13 @@ from twin.mechanics.control import inner
 from twin.mechanics.errors import SolverError
 from twin.mechanics.shear import InPlane, ShearPatch
 
-_TOLERANCE = 1e-7
+# Largest change of the traction in the last pass over its largest bound.
+_TOLERANCE = 1e-6
 _MOST_PASSES = 5000
 
 
 def solve_friction(
-    patch: ShearPatch, bound: FloatArray, before: InPlane, moved_mm: InPlane
+    patch: ShearPatch, bound: FloatArray, target_mm: InPlane, guess: InPlane
 ) -> InPlane:
     """Return the traction over modulus after an increment of the travel.
 
@@ -34,20 +35,19 @@ def solve_friction(
     ----------
     bound : (row, col) float; friction coefficient times pressure over modulus, 0 outside the
         contact
-    before : in-plane displacement of the face before the increment, mm
-    moved_mm : travel of the specimen in this increment relative to the unloaded face, mm
+    target_mm : in-plane displacement of the face if it sticks everywhere, B q0 + dU, mm
+    guess : first guess of the traction over modulus, for example that before the increment
 
     Raises
     ------
     SolverError : no solution within the passes
     """
-    target = InPlane(before.x + moved_mm.x, before.y + moved_mm.y)
-    traction = limited(InPlane(np.zeros_like(bound), np.zeros_like(bound)), bound)
+    traction = limited(guess, bound)
     trial, momentum, step = traction, 1.0, 1 / patch.largest
     smallest = _TOLERANCE * float(bound.max())
     for _ in range(_MOST_PASSES):
         at = patch.displace(trial)
-        slip = InPlane(target.x - at.x, target.y - at.y)
+        slip = InPlane(target_mm.x - at.x, target_mm.y - at.y)
         after = limited(InPlane(trial.x + step * slip.x, trial.y + step * slip.y), bound)
         change = InPlane(after.x - traction.x, after.y - traction.y)
         residual = max(float(np.abs(after[axis] - trial[axis]).max()) for axis in (0, 1))

@@ -64,7 +64,7 @@ class ShearedLayer:
 
     def patch(self, rows: Span, cols: Span) -> "ShearPatch":
         """Return the in-plane response of a rectangle of cells to traction on these cells."""
-        kernels = [self._field(np.asarray(part)) for part in self._compliances]
+        kernels = self._kernels
         unused = np.ones((rows.padded, cols.padded // 2 + 1))
         spectra = [periodic_patch(kernel, rows, cols, unused).kernels[0] for kernel in kernels]
         spans = np.ix_(rows.offsets() % self.layer.rows, cols.offsets() % self.layer.cols)
@@ -87,6 +87,11 @@ class ShearedLayer:
         xy[self._shortest] = 0.0
         xx[0, 0] = yy[0, 0] = 2 * (1 + nu) * layer.thickness_mm
         return xx, xy, yy
+
+    @cached_property
+    def _kernels(self) -> list[FloatArray]:
+        """Displacement per traction over modulus on cell (0, 0), mm: x by x, x by y, y by y."""
+        return [self._field(compliance) for compliance in self._compliances]
 
     @cached_property
     def _couplings(self) -> tuple[ComplexArray, ComplexArray]:
@@ -141,10 +146,7 @@ class ShearPatch:
     def displace(self, traction: InPlane) -> InPlane:
         """Return the displacement, mm, within the patch for traction over modulus there."""
         shape = (self.rows.padded, self.cols.padded)
-        x, y = (np.asarray(fft.rfft2(part, s=shape)) for part in traction)
+        x, y = fft.rfft2(np.stack(traction), s=shape)
         xx, xy, yy = self.kernels
-        within = np.s_[: self.rows.count, : self.cols.count]
-        return InPlane(
-            fft.irfft2(xx * x + xy * y, s=shape)[within],
-            fft.irfft2(xy * x + yy * y, s=shape)[within],
-        )
+        moved = fft.irfft2(np.stack((xx * x + xy * y, xy * x + yy * y)), s=shape, overwrite_x=True)
+        return InPlane(*moved[:, : self.rows.count, : self.cols.count])

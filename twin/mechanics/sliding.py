@@ -111,7 +111,7 @@ class _Increment:
         """Return the equilibrium after the specimen has moved by `moved_mm` along x and y."""
         layer, contact, traction = self.sheared.layer, start.contact, start.traction
         for _ in range(_MOST_TURNS):
-            traction = self._traction(contact, start, moved_mm)
+            traction = self._traction(contact, start, moved_mm, traction)
             deflection = self.sheared.deflect(traction)
             solved = solve_on_layer(layer, self.height_mm + deflection, self.control)
             change = float(np.abs(solved.pressure - contact.pressure).sum())
@@ -125,16 +125,25 @@ class _Increment:
         )
 
     def _traction(
-        self, contact: Contact, start: SlidEquilibrium, moved_mm: tuple[float, float]
+        self,
+        contact: Contact,
+        start: SlidEquilibrium,
+        moved_mm: tuple[float, float],
+        guess: InPlane,
     ) -> InPlane:
         layer = self.sheared.layer
         spans = map(Span.around, np.nonzero(contact.pressure > 0), contact.pressure.shape)
         patch = self.sheared.patch(*spans)
         pressed = layer.in_plane(contact.pressure)
-        target = [(start.displacement_mm[axis] - pressed[axis])[patch.cells] for axis in (0, 1)]
-        inside = InPlane(*(np.full_like(target[0], moved) for moved in moved_mm))
+        target = InPlane(
+            *(
+                (start.displacement_mm[axis] - pressed[axis])[patch.cells] + moved_mm[axis]
+                for axis in (0, 1)
+            )
+        )
         bound = self.mu * contact.pressure[patch.cells]
-        within = solve_friction(patch, bound, InPlane(*target), inside)
+        near = InPlane(*(part[patch.cells] for part in guess))
+        within = solve_friction(patch, bound, target, near)
         whole = InPlane(*np.zeros((2, layer.rows, layer.cols)))
         for axis in (0, 1):
             whole[axis][patch.cells] = within[axis]
