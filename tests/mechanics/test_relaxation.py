@@ -8,10 +8,10 @@ from pydantic import ValidationError
 from scipy.integrate import quad
 
 from reconstruction.arrays import FloatArray
+from tests.oracles.creeping_layer import press_by_steps
 from twin.config.models import Elastomer, Mechanics, Press
 from twin.config.relaxation import Relaxation
 from twin.mechanics import PressedElastomer, PressError, press_with, read_press, write_press
-from twin.mechanics.contact import solve_on_layer
 from twin.mechanics.control import Control, DepthControl, ForceControl
 from twin.mechanics.layer import BondedLayer
 from twin.mechanics.models import MODELS, PressInput
@@ -89,56 +89,18 @@ def test_the_mean_of_a_series_is_its_integral() -> None:
     assert c.mean(2.0, 2.0 + 1e-9) == pytest.approx(c(2.0), rel=1e-8)
 
 
-class Marched:
-    """A relaxing layer by time steps: each contact is solved with the creep of all earlier steps.
-
-    The deflection is the sum of c(t - s) A dp(s). Neither the shape nor the growth of the contact
-    is assumed; c is computed by time steps from r * dc = 1.
-    """
-
-    def __init__(self, times_s: FloatArray) -> None:
-        self.times_s, self.pressures = times_s, list[FloatArray]()
-        self.layer = BondedLayer(96, 96, 24.0, 24.0, 4.0, 0.49)
-        self.height = height_above_lowest(BALL, self.layer.x_mm, self.layer.y_mm)
-
-    def run(self, controls: list[Control]) -> tuple[list[float], list[float]]:
-        """Return force over modulus, mm^2, and travel, mm, at each time."""
-        forces, depths = [0.0], [0.0]
-        before = np.zeros_like(self.height)
-        steps: list[tuple[float, FloatArray]] = []
-        for number, control in enumerate(controls, 1):
-            now, half = self.times_s[number], (self.times_s[number] - self.times_s[number - 1]) / 2
-            own = creep_by_steps(half)
-            history = sum((creep_by_steps(now - at) * by for at, by in steps), -own * before)
-            if isinstance(control, ForceControl):
-                control = ForceControl(control.force_over_modulus * own, control.cell_area_mm2)
-            solved = solve_on_layer(self.layer, self.height + self.layer.deflect(history), control)
-            pressure = solved.pressure / own
-            steps.append((now - half, pressure - before))
-            before = pressure
-            forces.append(float(pressure.sum()) * self.layer.cell_area_mm2)
-            depths.append(solved.depth_mm)
-        return forces, depths
-
-
-def creep_by_steps(t_s: float, count: int = 80) -> float:
-    """Return c(t) by the midpoint rule for r(t) + integral of r(t - s) c'(s) ds = 1."""
-    if t_s == 0:
-        return 1.0
-    r = relaxation_function(TERMS)
-    ages = np.array([r((index + 0.5) * t_s / count) for index in range(count)])
-    steps = np.zeros(count)
-    for number in range(count):
-        known = float(ages[number:0:-1] @ steps[:number])
-        steps[number] = (1 - r((number + 1) * t_s / count) - known) / ages[0]
-    return 1.0 + float(steps.sum())
+def by_steps(times_s: FloatArray, controls: list[Control]) -> tuple[FloatArray, FloatArray]:
+    """Return force over modulus and travel of the ball by time steps of a 24 x 24 x 4 mm gel."""
+    layer = BondedLayer(96, 96, 24.0, 24.0, 4.0, 0.49)
+    height = height_above_lowest(BALL, layer.x_mm, layer.y_mm)
+    return press_by_steps(layer, height, TERMS, times_s, controls)
 
 
 def test_a_press_at_constant_speed_and_its_hold_against_time_steps() -> None:
     """Force of a ramp of 2 s, at once and 3 s later; expected by the layer's time steps: 1 %."""
     times = np.concatenate((np.linspace(0, 2.0, 9), [2.5, 3.5, 5.0]))
     travels = np.minimum(times / 2.0, 1.0)[1:] * 0.5
-    forces, _ = Marched(times).run([DepthControl(float(depth)) for depth in travels])
+    forces, _ = by_steps(times, [DepthControl(float(depth)) for depth in travels])
     for hold_s, number in ((0.0, 8), (3.0, 11)):
         result = pressed(to_depth(ramp_s=2.0, hold_s=hold_s))
         assert result.force_n == pytest.approx(0.5 * forces[number], rel=0.01)
@@ -151,7 +113,7 @@ def test_creep_under_a_constant_force_against_time_steps() -> None:
     """Travel of a ball under a step of force; expected by the layer's time steps: 1 %."""
     times = np.array([0.0, 1e-6, 0.2, 0.6, 1.4, 3.0, 6.0])
     area = (24.0 / 96) ** 2
-    _, depths = Marched(times).run([ForceControl(0.8 / 0.5, area)] * 6)
+    _, depths = by_steps(times, [ForceControl(0.8 / 0.5, area)] * 6)
     first, result = pressed(with_force()), pressed(with_force(hold_s=6.0))
     assert first.depth_mm == pytest.approx(depths[1], rel=1e-3)
     assert result.depth_mm == pytest.approx(depths[-1], rel=0.01)

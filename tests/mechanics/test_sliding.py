@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.integrate import quad
 
 from reconstruction.arrays import FloatArray
+from tests.oracles.partial_slip import paraboloid, solve_partial_slip
 from twin.config.models import Elastomer, Mechanics, Press
 from twin.config.relaxation import Relaxation
 from twin.mechanics import (
@@ -19,21 +19,14 @@ from twin.mechanics import (
 )
 from twin.mechanics.contact import Contact, solve_on_layer
 from twin.mechanics.control import DepthControl, inner
-from twin.mechanics.friction import solve_friction
 from twin.mechanics.layer import BondedLayer
-from twin.mechanics.patch import Span
-from twin.mechanics.shear import InPlane, ShearedLayer, along_wave
+from twin.mechanics.shear import ShearedLayer
 from twin.mechanics.sliding import SlidEquilibrium, slide
 from twin.specimens.kinds.ball import Ball
 
-RADIUS_MM, MU = 4.0, 0.5
+MU = 0.5
 SPECTRAL = Mechanics(model="spectral")
 COARSE = {"solver_pitch_mm": 0.25, "relief_pitch_mm": 0.05}
-
-
-def paraboloid(layer: BondedLayer) -> FloatArray:
-    x, y = np.meshgrid(layer.x_mm, layer.y_mm)
-    return np.asarray((x**2 + y**2) / (2 * RADIUS_MM))
 
 
 def force_mm2(layer: BondedLayer, field: FloatArray) -> float:
@@ -42,47 +35,16 @@ def force_mm2(layer: BondedLayer, field: FloatArray) -> float:
 
 @pytest.mark.parametrize("share", [0.4, 0.8])
 def test_partial_slip_of_a_ball_on_a_thick_layer(share: float) -> None:
-    """Cattaneo, Mindlin: T and stick radius by travel, 3 %.
-
-    A layer of 12 contact radii is stiffer than the half-space by a uniform displacement T c, where
-    c is the difference of their compliances at the loaded point.
-    """
-    nu, depth = 0.49, 0.25
-    layer = BondedLayer(768, 768, 76.8, 76.8, 12.0, nu)
-    contact = solve_on_layer(layer, paraboloid(layer), DepthControl(depth))
-    touching = contact.pressure > 0
-    load, shear = force_mm2(layer, contact.pressure), 1 / (2 * (1 + nu))
-    radius = float(np.sqrt(touching.sum() * layer.cell_area_mm2 / np.pi))
-    patch = ShearedLayer(layer).patch(*map(Span.around, np.nonzero(touching), touching.shape))
-    excess, _ = quad(
-        lambda q: (
-            2 * (1 - nu**2) * (float(along_wave(np.array(q), nu)) - 1)
-            + 2 * (1 + nu) * (np.tanh(q) - 1)
-        ),
-        0,
-        40,
-    )
-    slip_share = 1 - (1 - share) ** (2 / 3)
-    travel = 3 * MU * load * (2 - nu) / (16 * shear * radius) * slip_share
-    travel += share * MU * load * excess / (4 * np.pi * layer.thickness_mm)
-    bound = MU * contact.pressure[patch.cells]
-    still, moved = np.zeros_like(bound), np.full_like(bound, travel)
-    traction = solve_friction(patch, bound, InPlane(moved, still), InPlane(still, still))
-    assert force_mm2(layer, traction.x) == pytest.approx(share * MU * load, rel=0.03)
-    sticking = np.hypot(*traction) < (1 - 1e-3) * bound
-    stick_radius = float(np.sqrt(sticking.sum() * layer.cell_area_mm2 / np.pi))
-    assert stick_radius / radius == pytest.approx((1 - share) ** (1 / 3), rel=0.03)
-    slip = InPlane(
-        *(
-            moved_by - by
-            for moved_by, by in zip((moved, still), patch.displace(traction), strict=True)
-        )
-    )
-    assert np.hypot(*slip)[sticking].max() < 1e-3 * travel
-    slipping = (bound > 0) & ~sticking
+    """Cattaneo, Mindlin: T and stick radius by travel, 3 %."""
+    solved = solve_partial_slip(share, MU)
+    assert solved.force_ratio == pytest.approx(1.0, rel=0.03)
+    assert solved.radius_ratio == pytest.approx(1.0, rel=0.03)
+    traction, slip, bound = solved.traction, solved.slip_mm, solved.bound
+    assert np.hypot(*slip)[solved.sticking].max() < 1e-3 * solved.travel_mm
+    slipping = (bound > 0) & ~solved.sticking
     # Friction opposes the slip of the face: the traction on the face has the slip's direction.
-    cosine = (traction.x * slip.x + traction.y * slip.y)[slipping]
-    assert cosine == pytest.approx((bound * np.hypot(*slip))[slipping], rel=1e-3, abs=1e-9)
+    power = (traction.x * slip.x + traction.y * slip.y)[slipping]
+    np.testing.assert_allclose(power, (bound * np.hypot(*slip))[slipping], rtol=1e-3, atol=1e-9)
 
 
 LAYER = BondedLayer(96, 96, 24.0, 24.0, 3.0, 0.49)
