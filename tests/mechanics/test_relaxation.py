@@ -135,6 +135,21 @@ def test_a_step_of_travel_has_the_force_of_the_prony_series() -> None:
         assert (result.initial_force_n, result.relief_change_um) == (elastic.force_n, 0.0)
 
 
+def test_a_slab_on_a_rim_creeps_as_a_softer_slab() -> None:
+    """Opposite-face layout: a held force is that on an elastic slab of modulus E / c(t)."""
+    rim = {"layout": "opposite_face", "young_modulus_kpa": 800.0}
+    held = pressed(with_force(hold_s=10.0), **rim)
+    softer = 800.0 / creep_function(TERMS)(10.0)
+    expected = pressed(with_force(), **rim | {"young_modulus_kpa": softer, "relaxation": None})
+    np.testing.assert_allclose(held.face_z_mm, expected.face_z_mm, atol=1e-9)
+    assert held.relief_change_um is not None
+    assert held.relief_change_um > 50
+    at_depth = pressed(to_depth(hold_s=10.0), **rim)
+    elastic = pressed(to_depth(), **rim | {"relaxation": None})
+    assert at_depth.force_n == pytest.approx(relaxation_function(TERMS)(10.0) * elastic.force_n)
+    np.testing.assert_array_equal(at_depth.face_z_mm, elastic.face_z_mm)
+
+
 def test_a_ramp_converges_with_its_steps() -> None:
     """The force of 8 steps differs from that of 64 by less than 0.1 %, for forces of a ball."""
     load = to_depth(ramp_s=2.0, hold_s=0.0)

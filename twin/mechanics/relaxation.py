@@ -229,7 +229,8 @@ def waiting_time_s(model: ElastomerModel, case: PressInput, change_um: float) ->
         return 0.0
     check_relaxation(model, replace(case, load=case.load.model_copy(update={"hold_s": 1.0})))
     creep = creep_function(relaxation)
-    final = model.press(_with_share(case, 1 / creep.final)).face_z_mm
+    flowed = _with_share(case.elastomer, 1 / creep.final)
+    final = model.press(replace(case, elastomer=flowed)).face_z_mm
 
     def excess_um(log_hold: float) -> float:
         held = case.load.model_copy(update={"hold_s": float(np.expm1(log_hold))})
@@ -253,13 +254,22 @@ def _ramp_forces(model: ElastomerModel, case: PressInput) -> FloatArray | None:
     return np.array([model.press(replace(case, load=load)).force_n for load in loads])
 
 
+def elastic_equivalent(elastomer: Elastomer, load: HeldLoad) -> Elastomer:
+    """Return the elastic elastomer whose press has the shape and force at the time of `load`.
+
+    A ramp of the travel counts as one whose force is proportional to time.
+    """
+    relaxation = elastomer.relaxation
+    return (
+        elastomer if relaxation is None else _with_share(elastomer, relaxed_share(relaxation, load))
+    )
+
+
+def _with_share(elastomer: Elastomer, share: float) -> Elastomer:
+    modulus_kpa = share * young_modulus(elastomer).best_kpa
+    return elastomer.model_copy(update={"young_modulus_kpa": modulus_kpa, "relaxation": None})
+
+
 def _elastic(case: PressInput, load: Press) -> PressInput:
     """Return the elastic press that is equivalent to `case` under another load by force."""
-    assert case.elastomer.relaxation is not None
-    return _with_share(replace(case, load=load), relaxed_share(case.elastomer.relaxation, load))
-
-
-def _with_share(case: PressInput, share: float) -> PressInput:
-    modulus_kpa = share * young_modulus(case.elastomer).best_kpa
-    changes = {"young_modulus_kpa": modulus_kpa, "relaxation": None}
-    return replace(case, elastomer=case.elastomer.model_copy(update=changes))
+    return replace(case, load=load, elastomer=elastic_equivalent(case.elastomer, load))

@@ -42,7 +42,7 @@ from twin.mechanics.choice import is_slab, may_wrap
 from twin.mechanics.hardness import young_modulus
 from twin.mechanics.layer import BondedLayer
 from twin.mechanics.layouts import WINDOW_MARGIN, coat_film
-from twin.mechanics.relaxation import relaxed_share
+from twin.mechanics.relaxation import elastic_equivalent, relaxed_share
 from twin.output import EXPERIMENT_FILE, output_folder, write_outcome
 from twin.pipeline.calibrated_layer import calibrated_layer
 from twin.pipeline.dimensions import RECONSTRUCTION_FILE
@@ -272,12 +272,10 @@ def _relaxed(layer: SensorLayer) -> SensorLayer:
     if relaxation is None:
         return layer
     share = relaxed_share(relaxation, layer.press)
-    modulus_kpa = share * young_modulus(layer.elastomer).best_kpa
-    changes = {"young_modulus_kpa": modulus_kpa, "relaxation": None}
     sigma = {"young_modulus_kpa": share * sigma_of_modulus(layer)}
     return layer.model_copy(
         update={
-            "elastomer": layer.elastomer.model_copy(update=changes),
+            "elastomer": elastic_equivalent(layer.elastomer, layer.press),
             "sigma": layer.sigma.model_copy(update=sigma),
         }
     )
