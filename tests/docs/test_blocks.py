@@ -77,6 +77,8 @@ JUDGES = {
     "docs/install.md: python3.11": "test_blocks.py::test_extras_of_an_installation",
     "docs/optics.md: ": "test_tutorials.py::test_the_page_on_field_lens_and_distance_runs",
     "docs/paper.md: twin paper": _COMMANDS,
+    "docs/physics/slab.md: [elastomer.relaxation]": "test_blocks.py::test_a_press_that_relaxes",
+    "docs/physics/slab.md: [elastomer]": "test_blocks.py::test_a_slide_of_a_press",
     "docs/real_rig.md: format =": _RIG_FILE,
     "docs/sheet.md: [elastomer]": "test_blocks.py::test_tables_of_a_thin_sheet",
     "docs/sheet.md: [elastomer.thickness_field]": "test_blocks.py::test_the_thickness_of_a_sheet",
@@ -316,3 +318,27 @@ def test_tables_of_a_thin_sheet(tmp_path):
     pressed = twin.press(twin.vary(plain, coarse))
     assert pressed.model == experiment.mechanics.model == "sheet"
     assert pressed.depth_mm == press.depth_mm == 1.0
+
+
+def test_a_press_that_relaxes(tmp_path):
+    """Expected: force control lets the ball sink on; the default times are those of a step."""
+    text = one("docs/physics/slab.md", "[elastomer.relaxation]").text
+    experiment = experiment_with(tmp_path, "gel_on_window", text)
+    coarse = {"press.solver_pitch_mm": 0.25, "press.relief_pitch_mm": 0.05}
+    held = twin.press(twin.vary(experiment, coarse))
+    at_once = twin.press(twin.vary(experiment, coarse | {"press.hold_s": 0.0}))
+    assert held.depth_mm > at_once.depth_mm
+    assert held.force_n == pytest.approx(held.initial_force_n, rel=1e-9)
+    defaults = experiment_with(tmp_path, "gel_on_window", "").press
+    assert (defaults.hold_s, defaults.ramp_s) == (0.0, 0.0)
+
+
+def test_a_slide_of_a_press(tmp_path):
+    """Expected: the ball drags the gel along x, with less than the limit of friction."""
+    text = one("docs/physics/slab.md", "[elastomer]\n").text
+    experiment = experiment_with(tmp_path, "gel_on_window", text)
+    coarse = {"press.solver_pitch_mm": 0.25, "press.relief_pitch_mm": 0.05}
+    shear = twin.press(twin.vary(experiment, coarse)).shear
+    limit_n = experiment.elastomer.friction_coefficient * experiment.press.force_n
+    assert 0.1 * limit_n < shear.force_x_n < limit_n
+    assert abs(shear.force_y_n) < 1e-3 * limit_n

@@ -42,6 +42,7 @@ def press(
     transfer: bool = False,
     solid: bool = False,
     by: list[str] | None = None,
+    wait_um: float | None = None,
     report: Report = True,
 ) -> None:
     """Press the specimen into the elastomer: pressure, heights, force, coated face as a mesh.
@@ -56,6 +57,9 @@ def press(
     by
         Number of elastomer, press or specimen, for example elastomer.thickness_mm: also compute the
         derivatives of face, force and travel of a thin sheet; repeat it for several numbers.
+    wait_um
+        Change of the coat's height, um: also compute the time after the press from which the coat
+        of a relaxing elastomer changes by less.
     """
     from twin.mechanics import write_in_plane
     from twin.mechanics.models import model_of
@@ -82,6 +86,10 @@ def press(
             figures |= _write_transfer(folder, loaded, pressed)
         if derivatives:
             figures |= _write_derivatives(folder, pressed, derivatives, report)
+        if wait_um is not None:
+            from twin.pipeline.press import waiting_time
+
+            figures["waiting_time_s"] = waiting_time(loaded, wait_um)
         write_result(folder, "press", loaded, figures)
     print_metrics(figures)
     say(f"wrote {out}")

@@ -91,6 +91,13 @@ Force = Annotated[
     Field(ge=1e-6, le=1e4),
     Because("1 uN, the weight of a grain of dust, to 10 kN, the weight of a car"),
 ]
+#: travel of a specimen along the touched face, mm; its sign is the direction
+SlideTravel = Annotated[
+    float, Field(ge=-100, le=100), Because("100 mm is the width of the largest specimen")
+]
+HoldTime = Annotated[
+    float, Field(ge=0, le=1e8), Because("1e8 s is three years, longer than any measurement waits")
+]
 AirPressure = Annotated[
     float,
     Field(ge=0, le=1000),

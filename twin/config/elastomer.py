@@ -3,7 +3,7 @@
 Frames and units are those of `twin.config.models`.
 """
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
@@ -13,9 +13,11 @@ from twin.config.bounds import (
     FileUnit,
     FilmModulus,
     Force,
+    HoldTime,
     Length,
     Modulus,
     RimCompliance,
+    SlideTravel,
     Tack,
     Travel,
 )
@@ -27,6 +29,7 @@ from twin.config.elastomer_models import (
     settings_models,
 )
 from twin.config.kinds import NameOf, TablesOf
+from twin.config.relaxation import Relaxation
 from twin.config.thickness_field import ThicknessField
 
 SHEET_THICKNESS_MM = (0.05, 1.0)
@@ -93,15 +96,21 @@ class Elastomer(Model):
     friction_coefficient: Annotated[float, Field(ge=0, le=10)] | None = Field(
         default=None,
         exclude_if=lambda coefficient: coefficient is None,
-        description="Coulomb friction of the clear face on the specimen: it slips where friction "
+        description="Coulomb friction of the touched face on the specimen: it slips where friction "
         "would exceed this number times the contact pressure; 0: no friction; absent: as friction "
-        "says (sheet model)",
+        "says (sheet model, and spectral model with press.slide_x_mm or slide_y_mm)",
     )
     # Excluded if None, so that digests of experiments with a uniform sheet do not change.
     thickness_field: ThicknessField | None = Field(
         default=None,
         exclude_if=lambda field: field is None,
         description="deviation from thickness_mm, the mean; absent: uniform (sheet model)",
+    )
+    # Excluded if None, so that digests of experiments with an elastic elastomer do not change.
+    relaxation: Relaxation | None = Field(
+        default=None,
+        exclude_if=lambda relaxation: relaxation is None,
+        description="stress relaxation during press.ramp_s and press.hold_s; absent: elastic",
     )
 
     @model_validator(mode="after")
@@ -164,6 +173,11 @@ class Elastomer(Model):
         return -self.mounted_thickness_mm if self.layout == "opposite_face" else 0.0
 
 
+def zero_excluded(description: str) -> Any:
+    """Return a field of 0 that is excluded then: digests of experiments without it stay."""
+    return Field(default=0.0, exclude_if=lambda value: value == 0.0, description=description)
+
+
 class Press(Model):
     """Load of the press: a prescribed travel, or a prescribed force."""
 
@@ -187,6 +201,24 @@ class Press(Model):
     relief_pitch_mm: Annotated[float, Field(ge=0.005, le=0.05)] = Field(
         default=0.025, description="mesh pitch of the coated face"
     )
+
+    ramp_s: HoldTime = zero_excluded(
+        "duration of the press at constant speed, or of a force that grows in proportion to time; "
+        "0: a step (with elastomer.relaxation)"
+    )
+    hold_s: HoldTime = zero_excluded(
+        "time from the end of the press to the measurement (with elastomer.relaxation)"
+    )
+    slide_x_mm: SlideTravel = zero_excluded(
+        "travel of the specimen along world x after the press, to its pose in [specimen] "
+        "(spectral model, contact_face, with elastomer.friction_coefficient)"
+    )
+    slide_y_mm: SlideTravel = zero_excluded("as slide_x_mm, along world y")
+
+    @property
+    def slides(self) -> bool:
+        """Whether the specimen slides after the press."""
+        return self.slide_x_mm != 0.0 or self.slide_y_mm != 0.0
 
     @model_validator(mode="after")
     def _control_has_its_value(self) -> "Press":

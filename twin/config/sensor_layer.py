@@ -5,6 +5,7 @@ experiment. docs/compensation.md explains every key.
 """
 
 from pathlib import Path
+from typing import Literal
 
 import tomli_w
 from pydantic import ConfigDict, Field, model_validator
@@ -13,12 +14,13 @@ from twin.config.base import Angle, Model
 from twin.config.bounds import (
     AirPressure,
     Force,
+    HoldTime,
     Length,
     Place,
     Rounding,
     Travel,
 )
-from twin.config.elastomer import Elastomer
+from twin.config.elastomer import Elastomer, zero_excluded
 from twin.config.inputs import usual_inputs
 from twin.config.kinds import follows
 from twin.config.loading import read_toml, resolve_uses
@@ -38,6 +40,15 @@ class MeasuredLoad(Model):
         default=None, description="travel after first touch, if the stage measures it"
     )
     force_n: Force | None = Field(default=None, description="if a gauge measures it")
+    ramp_s: HoldTime = zero_excluded("duration of the press (with elastomer.relaxation)")
+    hold_s: HoldTime = zero_excluded(
+        "time from the end of the press to the measurement (with elastomer.relaxation)"
+    )
+
+    @property
+    def control(self) -> Literal["depth", "force"]:
+        """Which of travel and force is constant after the press: the force if only it is given."""
+        return "force" if self.depth_mm is None and self.force_n is not None else "depth"
 
 
 class PressedBar(Model):
@@ -80,6 +91,15 @@ class SensorLayer(Model):
     )
 
     @model_validator(mode="after")
+    def _sheet_is_elastic(self) -> "SensorLayer":
+        if self.elastomer.relaxation is not None and self.elastomer.is_thin_sheet:
+            raise ValueError(
+                "elastomer.relaxation: the compensation assumes an elastic sheet; remove the "
+                "table, and state the modulus at the time of the measurement"
+            )
+        return self
+
+    @model_validator(mode="after")
     def _sheet_is_uniform(self) -> "SensorLayer":
         if self.elastomer.thickness_field is not None:
             raise ValueError(
@@ -114,7 +134,11 @@ def sensor_layer_of(experiment: Experiment) -> SensorLayer:
     """
     press = experiment.press
     load = MeasuredLoad(
-        back_pressure_kpa=press.back_pressure_kpa, depth_mm=press.depth_mm, force_n=press.force_n
+        back_pressure_kpa=press.back_pressure_kpa,
+        depth_mm=press.depth_mm,
+        force_n=press.force_n,
+        ramp_s=press.ramp_s,
+        hold_s=press.hold_s,
     )
     texture = experiment.coating.texture
     sigma = LayerSigma(

@@ -15,7 +15,7 @@ from twin.mechanics.hardness import (
     estimate_modulus_00,
     young_modulus,
 )
-from twin.mechanics.press import PressedElastomer, SheetFields, fields_at, press
+from twin.mechanics.press import PressedElastomer, ShearFields, SheetFields, fields_at, press
 from twin.mechanics.relief import face_mesh, face_normals, slab_mesh
 from twin.mechanics.storage import read_press, write_in_plane, write_mesh, write_press
 from twin.mechanics.texture import (
@@ -35,6 +35,7 @@ __all__ = [
     "ModulusEstimate",
     "PressError",
     "PressedElastomer",
+    "ShearFields",
     "SheetFields",
     "SolverError",
     "Validity",

@@ -32,8 +32,25 @@ VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
     "iterations": ((), "1", "passes of the contact solver"),
     "converged": ((), "1", "1 when the contact solver converged"),
     "texture_mm": (FACE, "mm", "height of the coat's texture, included in face_z_mm"),
+    "initial_force_n": ((), "N", "contact force at the end of the press"),
+    "relief_change_um": (
+        (),
+        "um",
+        "largest change of the coated face's heights since the end of the press",
+    ),
 }
-OPTIONAL = {"texture_mm"}
+OPTIONAL = {"texture_mm", "initial_force_n", "relief_change_um"}
+
+# field of ShearFields: (dimensions, units, long name); stored after a slide only
+SHEAR_VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
+    "traction_x_kpa": (("y", "x"), "kPa", "tangential force along x over area, on the elastomer"),
+    "traction_y_kpa": (("y", "x"), "kPa", "tangential force along y over area, on the elastomer"),
+    "slip_x_mm": (("y", "x"), "mm", "travel of the specimen over the face along x"),
+    "slip_y_mm": (("y", "x"), "mm", "travel of the specimen over the face along y"),
+    "sticking": (("y", "x"), "1", "1 where the specimen sticks at the end of the slide"),
+    "force_x_n": ((), "N", "tangential force along x on the elastomer"),
+    "force_y_n": ((), "N", "tangential force along y on the elastomer"),
+}
 
 # field of SheetFields: units, long name; stored for sheets only, at the coated face's nodes
 SHEET_VARIABLES: dict[str, tuple[str, str]] = {
@@ -58,11 +75,15 @@ def press_arrays(pressed: "PressedElastomer") -> LabelledArrays:
     }
     for name, data in _sheet_arrays(pressed.sheet).items():
         variables[f"sheet_{name}"] = labelled(data, FACE, *SHEET_VARIABLES[name])
+    if pressed.shear is not None:
+        for name, figures in SHEAR_VARIABLES.items():
+            data = np.asarray(getattr(pressed.shear, name))
+            variables[f"shear_{name}"] = labelled(data, *figures)
     axes = {name.removesuffix("_mm"): variables.pop(name) for name in AXES}
     validity = asdict(pressed.validity) | {"warnings": "\n".join(pressed.validity.warnings)}
-    figures = {VALIDITY + name: value for name, value in validity.items()}
+    validity_figures = {VALIDITY + name: value for name, value in validity.items()}
     attributes = {"Conventions": "CF-1.11", "schema": SCHEMA, "model": pressed.model}
-    return LabelledArrays(variables, axes, attributes | figures)
+    return LabelledArrays(variables, axes, attributes | validity_figures)
 
 
 def labelled(

@@ -6,6 +6,7 @@ times the modulus in kPa, equal to the last bit: a single press is sufficient fo
 """
 
 from dataclasses import replace
+from functools import partial
 from math import inf
 
 from twin.config.elastomer import SHEET_THICKNESS_MM
@@ -21,9 +22,10 @@ from twin.mechanics.models import (
     SettledPress,
     model_of,
 )
-from twin.mechanics.press import PressedElastomer
+from twin.mechanics.press import PressedElastomer, scaled_stress
+from twin.mechanics.relaxation import check_relaxation, press_relaxing, relaxed_press, relaxes
 
-_STIFFNESS = {"shore_a", "shore_00", "young_modulus_kpa"}
+_STIFFNESS = {"shore_a", "shore_00", "young_modulus_kpa", "relaxation"}
 
 
 def press_with(
@@ -46,8 +48,9 @@ def press_with(
     """
     case = PressInput(mechanics, specimen, elastomer, load)
     model = select_model(case)
-    model.check(case)
-    pressed = replace(model.press(case, progress), model=model.name)
+    _check(model, case)
+    run = partial(press_relaxing, model) if relaxes(elastomer, load) else model.press
+    pressed = replace(run(case, progress), model=model.name)
     doubts = specimen.warnings()
     validity = replace(pressed.validity, warnings=(*pressed.validity.warnings, *doubts))
     return replace(pressed, validity=validity)
@@ -67,7 +70,9 @@ def settled_with(case: PressInput, progress: Progress | None = None) -> SettledP
     PressError : the model has no derivatives, or an error of `press_with`
     SolverError : the solution did not converge
     """
-    return select_model(case).settle(case, progress)
+    model = select_model(case)
+    check_history(model, case)
+    return model.settle(case, progress)
 
 
 def preview_with(case: PressInput, near: SettledPress | None = None) -> SettledPress | None:
@@ -86,7 +91,7 @@ def preview_with(case: PressInput, near: SettledPress | None = None) -> SettledP
     PressError, SolverError : as `press_with`
     """
     model = select_model(case)
-    model.check(case)
+    _check(model, case)
     if near is None:
         return model.preview(case)
     try:
@@ -109,10 +114,32 @@ def check_press(
     errors = []
     for model in possible_models(case):
         try:
-            return model.check(case)
+            return _check(model, case)
         except PressError as error:
             errors.append(error)
     raise errors[0]
+
+
+def check_history(model: ElastomerModel, case: PressInput) -> None:
+    """Raise an error if a model lacks the relaxation or the slide of a press.
+
+    Raises
+    ------
+    PressError : the message states key, value and remedy
+    """
+    check_relaxation(model, case)
+    if case.load.slides and not model.slides:
+        key = "slide_x_mm" if case.load.slide_x_mm else "slide_y_mm"
+        raise PressError(
+            f"press.{key}: found {getattr(case.load, key):g} mm, which the {model.name} model "
+            "lacks; use mechanics.model = 'spectral' with elastomer.layout = 'contact_face', or "
+            "remove it"
+        )
+
+
+def _check(model: ElastomerModel, case: PressInput) -> None:
+    check_history(model, case)
+    model.check(case)
 
 
 def possible_models(case: PressInput) -> list[ElastomerModel]:
@@ -163,7 +190,8 @@ def modulus_only_scales(case: PressInput) -> bool:
     """Whether Young's modulus only scales the pressure and force of a press, not its shape.
 
     The result is False if the force is prescribed. It is False with a film, weight or back
-    pressure, because their stiffness or pressure does not scale with the modulus. Of the models in
+    pressure, because their stiffness or pressure does not scale with the modulus, and for the ramp
+    of a relaxing elastomer, whose force depends on several presses. Of the models in
     `possible_models`, one must be the linear slab and none may be a sheet that wraps.
     """
     if (
@@ -171,6 +199,7 @@ def modulus_only_scales(case: PressInput) -> bool:
         or case.elastomer.film is not None
         or case.load.back_pressure_kpa != 0.0
         or case.load.gravity_deg is not None
+        or (case.elastomer.relaxation is not None and case.load.ramp_s > 0)
     ):
         return False
     models = possible_models(case)
@@ -201,12 +230,12 @@ def unit_press(
     return pressed if model_of(pressed.model).is_linear_slab else None
 
 
-def with_modulus(pressed: PressedElastomer, elastomer: Elastomer) -> PressedElastomer:
-    """Scale pressure and force of a `unit_press` to the Young's modulus of an elastomer."""
-    modulus_kpa = young_modulus(elastomer).best_kpa
-    return replace(
-        pressed,
-        pressure_kpa=pressed.pressure_kpa * modulus_kpa,
-        force_n=pressed.force_n * modulus_kpa,
-        young_modulus_kpa=modulus_kpa,
-    )
+def with_modulus(case: PressInput, unit: PressedElastomer) -> PressedElastomer:
+    """Scale pressure and force of a `unit_press` to the modulus of an elastomer, then relax them.
+
+    Parameters
+    ----------
+    case : the press whose shape `unit` has
+    """
+    pressed = scaled_stress(unit, young_modulus(case.elastomer).best_kpa)
+    return relaxed_press(pressed, case) if relaxes(case.elastomer, case.load) else pressed

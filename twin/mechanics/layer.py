@@ -206,7 +206,7 @@ class BondedLayer(FlatLayer):
 
     @cached_property
     def _k(self) -> FloatArray:
-        k_x, k_y = _periodic_waves(self)
+        k_x, k_y = periodic_waves(self)
         k = np.hypot(k_x, k_y[:, None])
         k[0, 0] = min(k[0, 1], k[1, 0])  # placeholder: the mean is uniform compression, set below
         return k
@@ -218,14 +218,22 @@ class BondedLayer(FlatLayer):
 
     def in_plane(self, pressure: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the touched face's displacements u_x and u_y in its plane, (row, col), mm."""
-        k_x, k_y = _periodic_waves(self)
+        k_x, k_y = periodic_waves(self)
         potential = fft.rfft2(pressure, workers=_WORKERS) / self._k
-        potential *= 1j * self.compliance(self._table, self._k, "tangential_t")
+        potential *= 1j * self.tangential_compliance
         # The shortest wave has no slope on the grid.
         k_x[-1] *= self.cols % 2
         u_x: FloatArray = fft.irfft2(potential * k_x, s=pressure.shape, workers=_WORKERS)
         u_y: FloatArray = fft.irfft2(potential * k_y[:, None], s=pressure.shape, workers=_WORKERS)
         return u_x, u_y
+
+    @property
+    def tangential_compliance(self) -> FloatArray:
+        """In-plane displacement of the touched face per pressure over modulus, mm, by wavenumber.
+
+        By reciprocity it is also the displacement along the press per tangential traction.
+        """
+        return self.compliance(self._table, self._k, "tangential_t")
 
     @cached_property
     def _compliance(self) -> FloatArray:
@@ -257,7 +265,7 @@ def _oedometric(nu: float) -> float:
     return (1 + nu) * (1 - 2 * nu) / (1 - nu)
 
 
-def _periodic_waves(layer: FlatLayer) -> tuple[FloatArray, FloatArray]:
+def periodic_waves(layer: FlatLayer) -> tuple[FloatArray, FloatArray]:
     """Return the wavenumbers of a real 2D FFT, 1/mm: (half of col,) along x, (row,) along y."""
     k_x: FloatArray = 2 * np.pi * fft.rfftfreq(layer.cols, layer.length_x_mm / layer.cols)
     k_y: FloatArray = 2 * np.pi * fft.fftfreq(layer.rows, layer.length_y_mm / layer.rows)

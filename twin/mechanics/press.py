@@ -9,7 +9,7 @@ The model is linear, frictionless and exact for the flat slab. At a given depth,
 film, the shape does not depend on the modulus, which only scales pressure and force.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -63,6 +63,28 @@ def fields_at(sheet: SheetFields, nodes: Any) -> SheetFields:
 
 
 @dataclass(frozen=True)
+class ShearFields:
+    """Fields of a contact with friction after a slide, on the solver's cells, (row, col)."""
+
+    #: tangential force of the specimen on the touched face over area, along world x and y
+    traction_x_kpa: FloatArray
+    traction_y_kpa: FloatArray
+    #: travel of the specimen over the face since the press; 0 where it sticks or does not touch
+    slip_x_mm: FloatArray
+    slip_y_mm: FloatArray
+    #: cells that stick at the end of the slide
+    sticking: BoolArray
+    #: tangential force of the specimen on the elastomer
+    force_x_n: float
+    force_y_n: float
+
+    @property
+    def force_n(self) -> float:
+        """Magnitude of the tangential force."""
+        return float(np.hypot(self.force_x_n, self.force_y_n))
+
+
+@dataclass(frozen=True)
 class PressedElastomer:
     """Result of a press: both faces of the elastomer, pressure and force; mm, world frame."""
 
@@ -95,6 +117,19 @@ class PressedElastomer:
     texture_mm: FloatArray | None = None
     #: further fields of the sheet model; None for other models
     sheet: SheetFields | None = None
+    #: friction after a slide; None: the specimen has not slid
+    shear: ShearFields | None = None
+    #: of a relaxing elastomer: force at the end of the press, and largest change of the coated
+    #: face's heights since then; None: it does not relax
+    initial_force_n: float | None = None
+    relief_change_um: float | None = None
+
+    @property
+    def stick_area_share(self) -> float:
+        """Share of the contact area that sticks at the end of a slide; 1 without a slide."""
+        if self.shear is None:
+            return 1.0
+        return float(self.shear.sticking.sum() / max(1, int(self.contact.sum())))
 
     def __repr__(self) -> str:
         rows, cols = self.face_z_mm.shape
@@ -162,12 +197,14 @@ def press(
     preload = preload_of(elastomer, load, modulus_kpa)
     sag, height = preload.deflection(layer), shape.height_above_lowest(layer.x_mm, layer.y_mm)
     _check_cells(height, shape, load)
-    contact = solve_on_layer(layer, height + sag, _control(layer, height + sag, load, modulus_kpa))
+    contact = solve_on_layer(
+        layer, height + sag, press_control(layer, height + sag, load, modulus_kpa)
+    )
     if not (any_depth and elastomer.layout == "opposite_face"):
         _check_depth(contact.depth_mm, elastomer, load)
     _check_reached(contact.depth_mm, load)
     nodes = face_nodes(elastomer.length_y_mm, load), face_nodes(elastomer.length_x_mm, load)
-    face_z = _coated_face(layer, contact, preload, shape, nodes)
+    face_z = coated_face(layer, contact, preload, shape, nodes)
     return PressedElastomer(
         x_mm=layer.x_mm,
         y_mm=layer.y_mm,
@@ -187,6 +224,21 @@ def press(
     )
 
 
+def scaled_stress(pressed: PressedElastomer, factor: float) -> PressedElastomer:
+    """Return a press with modulus and all stresses times a factor, and with the same shape."""
+    shear = pressed.shear
+    if shear is not None:
+        stresses = ("traction_x_kpa", "traction_y_kpa", "force_x_n", "force_y_n")
+        shear = replace(shear, **{name: getattr(shear, name) * factor for name in stresses})
+    return replace(
+        pressed,
+        pressure_kpa=pressed.pressure_kpa * factor,
+        force_n=pressed.force_n * factor,
+        young_modulus_kpa=pressed.young_modulus_kpa * factor,
+        shear=shear,
+    )
+
+
 def check_load(shape: Shape, elastomer: Elastomer, load: Press, *, any_depth: bool = False) -> None:
     """Raise an error if a press is impossible, without solving it; arguments as for `press`.
 
@@ -203,13 +255,14 @@ def check_load(shape: Shape, elastomer: Elastomer, load: Press, *, any_depth: bo
         _check_depth(load.depth_mm, elastomer, load)
 
 
-def _coated_face(
+def coated_face(
     layer: AnyLayer,
     contact: Contact,
     preload: Preload,
     shape: Shape,
     nodes_mm: tuple[FloatArray, FloatArray],
 ) -> FloatArray:
+    """Return world z of the coated face at its nodes along y and x, (row, col) mm."""
     y_mm, x_mm = nodes_mm
     if isinstance(layer, BondedLayer):
         indented = contact.depth_mm - shape.height_above_lowest(x_mm, y_mm)
@@ -229,7 +282,13 @@ def _check_cells(height: FloatArray, shape: Shape, load: Press) -> None:
         )
 
 
-def _control(layer: AnyLayer, height: FloatArray, load: Press, modulus_kpa: float) -> Control:
+def press_control(layer: AnyLayer, height: FloatArray, load: Press, modulus_kpa: float) -> Control:
+    """Return the control of a press: its force over modulus, or its travel.
+
+    Raises
+    ------
+    PressError : at the travel the specimen, at `height` (row, col), mm, touches no cell
+    """
     if load.control == "force":
         assert load.force_n is not None  # the model's own validator
         return ForceControl(load.force_n / (modulus_kpa * 1e-3), layer.cell_area_mm2)

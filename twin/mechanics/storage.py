@@ -21,6 +21,7 @@ from twin.mechanics.arrays import (
     FACE,
     OPTIONAL,
     SCHEMA,
+    SHEAR_VARIABLES,
     SHEET_VARIABLES,
     VALIDITY,
     VARIABLES,
@@ -29,7 +30,7 @@ from twin.mechanics.arrays import (
 )
 from twin.mechanics.errors import PressError
 from twin.mechanics.models import model_of
-from twin.mechanics.press import PressedElastomer, SheetFields
+from twin.mechanics.press import PressedElastomer, ShearFields, SheetFields
 from twin.mechanics.texture import in_plane_displacement
 from twin.mechanics.validity import Validity
 
@@ -72,7 +73,7 @@ def read_press(path: Path) -> PressedElastomer:
         grouped = read_arrays(path, "validity").attrs if schema == _GROUPED else {}
         figures = {VALIDITY + name: value for name, value in grouped.items()}
         validity = _validity({**file.attrs, **figures})
-        model, sheet = str(file.attrs["model"]), _sheet(file)
+        model, sheet, shear = str(file.attrs["model"]), _sheet(file), _shear(file)
     except PressError:
         raise
     except FileNotFoundError as error:
@@ -80,7 +81,7 @@ def read_press(path: Path) -> PressedElastomer:
     except (OSError, KeyError) as error:
         raise PressError(f"{path}: damaged or not a netCDF-4 file; press again") from error
     return PressedElastomer(
-        **{**_typed(values), "validity": validity, "model": model, "sheet": sheet}
+        **{**_typed(values), "validity": validity, "model": model, "sheet": sheet, "shear": shear}
     )
 
 
@@ -137,6 +138,14 @@ def _sheet(file: LabelledArrays) -> SheetFields | None:
     maps = {name: file[f"sheet_{name}"] for name in SHEET_VARIABLES}
     stretch = np.stack((maps.pop("stretch_1"), maps.pop("stretch_2")), axis=-1)
     return SheetFields(stretch=stretch, **maps)
+
+
+def _shear(file: LabelledArrays) -> ShearFields | None:
+    if "shear_sticking" not in file:
+        return None
+    read: dict[str, Any] = {name: file[f"shear_{name}"] for name in SHEAR_VARIABLES}
+    read |= {name: float(read[name]) for name in ("force_x_n", "force_y_n")}
+    return ShearFields(**read | {"sticking": read["sticking"].astype(bool)})
 
 
 def _validity(attributes: Mapping[str, Any]) -> Validity:

@@ -41,6 +41,7 @@ from twin.mechanics.layouts import layer_on, preload_of, touched_at_nodes, wrapp
 from twin.mechanics.models import model_of
 from twin.mechanics.press import PressedElastomer
 from twin.mechanics.relief import face_normals
+from twin.mechanics.shear import InPlane, ShearedLayer
 
 Extent = tuple[float, float, float, float]
 Stream = tuple[str, int]
@@ -376,7 +377,7 @@ def _correlation_lag(heights: FloatArray) -> float:
 def in_plane_displacement(
     pressed: PressedElastomer, elastomer: Elastomer, load: Press
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the coat's displacements in its plane under contact, back pressure and weight.
+    """Return the coat's displacements in its plane under contact, slide, back pressure and weight.
 
     Parameters
     ----------
@@ -395,16 +396,24 @@ def in_plane_displacement(
         rows, cols = pressed.face_y_mm.size - 1, pressed.face_x_mm.size - 1
         loaded = pressure + preload.touched
         return layer.opposite_in_plane_at_nodes(loaded, rows, cols, preload.coated)
-    return _bonded(layer, pressure, pressed)
+    nodes = pressed.face_y_mm, pressed.face_x_mm
+    free = np.full((nodes[0].size, nodes[1].size), -np.inf)
+    u_x, u_y = (
+        touched_at_nodes(*wrapped(u, (layer.y_mm, layer.x_mm)), nodes, free)
+        for u in _bonded(layer, pressure, pressed)
+    )
+    return u_x, u_y
 
 
 def _bonded(
     layer: BondedLayer, pressure: FloatArray, pressed: PressedElastomer
 ) -> tuple[FloatArray, FloatArray]:
-    nodes = pressed.face_y_mm, pressed.face_x_mm
-    free = np.full((nodes[0].size, nodes[1].size), -np.inf)
-    u_x, u_y = (
-        touched_at_nodes(*wrapped(u, (layer.y_mm, layer.x_mm)), nodes, free)
-        for u in layer.in_plane(pressure)
+    """Return u_x and u_y, (row, col) mm, at the cells by pressure and, after a slide, traction."""
+    u_x, u_y = layer.in_plane(pressure)
+    if pressed.shear is None:
+        return u_x, u_y
+    traction = InPlane(pressed.shear.traction_x_kpa, pressed.shear.traction_y_kpa)
+    sheared = ShearedLayer(layer).displace(
+        InPlane(*(part / pressed.young_modulus_kpa for part in traction))
     )
-    return u_x, u_y
+    return u_x + sheared.x, u_y + sheared.y

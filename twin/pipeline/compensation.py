@@ -42,6 +42,7 @@ from twin.mechanics.choice import is_slab, may_wrap
 from twin.mechanics.hardness import young_modulus
 from twin.mechanics.layer import BondedLayer
 from twin.mechanics.layouts import WINDOW_MARGIN, coat_film
+from twin.mechanics.relaxation import elastic_equivalent, relaxed_share
 from twin.output import EXPERIMENT_FILE, output_folder, write_outcome
 from twin.pipeline.calibrated_layer import calibrated_layer
 from twin.pipeline.dimensions import RECONSTRUCTION_FILE
@@ -259,9 +260,25 @@ def compensate_points(
         raise InputError("compensate: found no valid point; look at the mask's reasons")
     points_mm = at_pixels(points.points_world_mm, valid).astype(np.float64)
     sigma_mm = at_pixels(points.sigma_z_mm, valid).astype(np.float64)
+    layer = _relaxed(layer)
     if on_window:
         return _on_gel(points_mm, sigma_mm, layer)
     return fit_slab(points_mm, sigma_mm, slab_object(layer, specimen))
+
+
+def _relaxed(layer: SensorLayer) -> SensorLayer:
+    """Return the layer with the modulus that its elastomer has at the time of the measurement."""
+    relaxation = layer.elastomer.relaxation
+    if relaxation is None:
+        return layer
+    share = relaxed_share(relaxation, layer.press)
+    sigma = {"young_modulus_kpa": share * sigma_of_modulus(layer)}
+    return layer.model_copy(
+        update={
+            "elastomer": elastic_equivalent(layer.elastomer, layer.press),
+            "sigma": layer.sigma.model_copy(update=sigma),
+        }
+    )
 
 
 def _on_gel(points_mm: FloatArray, sigma_mm: FloatArray, layer: SensorLayer) -> CompensatedGel:

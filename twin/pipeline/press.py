@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from reconstruction.arrays import FloatArray
+from reconstruction.errors import InputError
 from twin.config import require_experiment
 from twin.config.models import Experiment
 from twin.mechanics import (
@@ -19,8 +20,9 @@ from twin.mechanics import (
     ridge_transfer,
     textured,
 )
-from twin.mechanics.choice import unit_press, with_modulus
-from twin.mechanics.models import model_of
+from twin.mechanics.choice import select_model, unit_press, with_modulus
+from twin.mechanics.models import PressInput, model_of
+from twin.mechanics.relaxation import waiting_time_s
 from twin.pipeline.memory import Memory
 
 Progress = Callable[[float], None]
@@ -62,7 +64,7 @@ def press(experiment: Experiment, memory: Memory, progress: Progress | None = No
     InputError : the press is invalid, or its solver does not converge
     """
     smooth, token = _smooth(experiment, memory, progress)
-    made_from = token, smooth.pressed.young_modulus_kpa
+    made_from = token, smooth.pressed.young_modulus_kpa, smooth.pressed.initial_force_n
     return memory.recall(
         "texture", experiment, made_from, lambda watched: _with_texture(watched, smooth)
     ).value
@@ -83,6 +85,28 @@ def press_specimen(experiment: Experiment, progress: Progress | None = None) -> 
     """
     require_experiment(experiment)
     return press(experiment, Memory(), progress).pressed
+
+
+def waiting_time(experiment: Experiment, change_um: float) -> float:
+    """Return the time after the press, s, from which the coat changes by less than `change_um`.
+
+    0 if the elastomer does not relax, or if its travel is prescribed.
+
+    Raises
+    ------
+    InputError : `change_um` is not positive, or the press is invalid
+    """
+    require_experiment(experiment)
+    if not change_um > 0:
+        raise InputError(f"wait-um: found {change_um:g}, allowed more than 0")
+    case = _case(experiment)
+    return waiting_time_s(select_model(case), case, change_um)
+
+
+def _case(experiment: Experiment) -> PressInput:
+    return PressInput(
+        experiment.mechanics, experiment.specimen, experiment.elastomer, experiment.press
+    )
 
 
 def press_smooth(experiment: Experiment, progress: Progress | None = None) -> PressedElastomer:
@@ -126,7 +150,7 @@ def _smooth(
             "press", experiment, (), lambda watched: PressedFace.of(press_smooth(watched, progress))
         )
         return own.value, own.token
-    scaled = with_modulus(shape.value.pressed, experiment.elastomer)
+    scaled = with_modulus(_case(experiment), shape.value.pressed)
     return PressedFace(scaled, shape.value.face_digest), shape.token
 
 

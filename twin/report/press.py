@@ -9,7 +9,7 @@ from matplotlib.figure import Figure as Canvas
 
 from reconstruction.errors import counted
 from twin.config.models import Experiment
-from twin.mechanics import ContactTransfer, PressedElastomer, SheetFields, face_normals
+from twin.mechanics import ContactTransfer, PressedElastomer, ShearFields, SheetFields, face_normals
 from twin.mechanics.models import model_of
 from twin.report.canvas import (
     FIT,
@@ -49,6 +49,10 @@ _SHEET_MAPS = (
     "of the coat (degrees). In the contact the distance from coat to specimen along the coat's "
     "normal is the local thickness."
 )
+_SHEAR_MAPS = (
+    " Bottom row: magnitude of the traction of the specimen along the coat after its slide "
+    "(kPa), magnitude of its slip over the coat (mm), and the cells that stick (1) or slip (0)."
+)
 _SILICONE, _STEEL = "#cfe3f1", "#d9cdb8"
 
 
@@ -61,7 +65,8 @@ def press_figure(measured: Measurement) -> Figure:
         "Results of the press model: relief of the coated face (mm), contact pressure (kPa), and "
         "the section along the dashed line, to scale and with z enlarged. The closer the coated "
         "face follows the dashed outline of the specimen, the more of its shape is measurable."
-        + ("" if pressed.sheet is None else _SHEET_MAPS),
+        + ("" if pressed.sheet is None else _SHEET_MAPS)
+        + ("" if pressed.shear is None else _SHEAR_MAPS),
         "relief, pressure and sections of the pressed elastomer",
         lambda path: draw_press(path, measured.experiment, pressed),
     )
@@ -88,10 +93,12 @@ def judge_press(measured: Measurement) -> Verdict:
 def draw_press(path: Path, experiment: Experiment, pressed: PressedElastomer) -> None:
     """Draw relief, contact pressure and the section through the apexes as PNG.
 
-    For a thin sheet, also draw maps of thickness, stretch and slope.
+    For a thin sheet, also draw maps of thickness, stretch and slope; after a slide, maps of
+    traction, slip and sticking cells.
     """
     trace = trace_through_apexes(experiment)
-    with drawing(path, 10.0, 8.6 if pressed.sheet is None else 11.6) as figure:
+    without_maps = pressed.sheet is None and pressed.shear is None
+    with drawing(path, 10.0, 8.6 if without_maps else 11.6) as figure:
         relief = axes_at(figure, 0.65, 0.35, 3.45, 2.7)
         pressure = axes_at(figure, 5.75, 0.35, 3.45, 2.7)
         _relief(relief, pressed)
@@ -102,6 +109,8 @@ def draw_press(path: Path, experiment: Experiment, pressed: PressedElastomer) ->
         _coated_face(axes_at(figure, 0.65, 6.65, 9.2, 1.45), experiment, pressed, trace)
         if pressed.sheet is not None:
             _sheet_maps(figure, pressed, pressed.sheet)
+        if pressed.shear is not None:
+            _shear_maps(figure, pressed, pressed.shear)
 
 
 def draw_derivatives(
@@ -185,6 +194,30 @@ def _sheet_maps(figure: Canvas, pressed: PressedElastomer, sheet: SheetFields) -
             axes.set_ylabel("")
 
 
+def _shear_maps(figure: Canvas, pressed: PressedElastomer, shear: ShearFields) -> None:
+    """Draw traction, slip and sticking cells of a contact with friction as maps."""
+    maps = (
+        ("Traction along the coat (kPa)", np.hypot(shear.traction_x_kpa, shear.traction_y_kpa)),
+        ("Slip (mm)", np.hypot(shear.slip_x_mm, shear.slip_y_mm)),
+        ("Sticking cells", shear.sticking.astype(np.float64)),
+    )
+    for column, (title, values) in enumerate(maps):
+        axes = axes_at(figure, 0.65 + 3.2 * column, 9.1, 2.3, 1.9)
+        inside = np.ma.masked_where(~pressed.contact, values)
+        top = round_up(float(values.max())) if values.any() else 1.0
+        draw_map(axes, inside, _cell_extent(pressed), title, "", ends=(0, top))
+        _zoom_to_contact(axes, pressed)
+        axes.tick_params(labelleft=column == 0)
+        if column:
+            axes.set_ylabel("")
+
+
+def _cell_extent(pressed: PressedElastomer) -> tuple[float, float, float, float]:
+    x, y = pressed.x_mm, pressed.y_mm
+    half = float(x[1] - x[0]) / 2
+    return float(x[0]) - half, float(x[-1]) + half, float(y[0]) - half, float(y[-1]) + half
+
+
 def _extent(pressed: PressedElastomer) -> tuple[float, float, float, float]:
     x, y = pressed.face_x_mm, pressed.face_y_mm
     return float(x[0]), float(x[-1]), float(y[0]), float(y[-1])
@@ -209,12 +242,10 @@ def _relief(axes: Axes, pressed: PressedElastomer) -> None:
 
 def _pressure(axes: Axes, pressed: PressedElastomer) -> None:
     top, beyond = _pressure_scale(pressed)
-    x, y = pressed.x_mm, pressed.y_mm
-    half = float(x[1] - x[0]) / 2
     draw_map(
         axes,
         np.ma.masked_where(~pressed.contact, pressed.pressure_kpa),
-        (x[0] - half, x[-1] + half, y[0] - half, y[-1] + half),
+        _cell_extent(pressed),
         "Contact pressure",
         "pressure (kPa)",
         ends=(0, top),

@@ -32,7 +32,8 @@ from twin.specimens import shape_of
 OF_A_PRESS = (
     "mechanics_model", "force_n", "depth_mm", "young_modulus_kpa", "relief_peak_mm",
     "peak_pressure_kpa", "height_error_estimate_mm", "thinnest_mm", "largest_stretch",
-    "steepest_deg", "texture_rms_um", "texture_correlation_mm",
+    "steepest_deg", "shear_force_n", "stick_area_share", "largest_slip_mm", "initial_force_n",
+    "relief_change_um", "texture_rms_um", "texture_correlation_mm",
 )  # fmt: skip
 _OF_A_RECORDING = ("exposure_ms", "frames", "sequence_ms", "saturated_share")
 _OF_A_ROD = (

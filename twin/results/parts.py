@@ -243,6 +243,8 @@ def press_metrics(pressed: PressedElastomer) -> dict[str, Metric]:
         "peak_pressure_kpa": float(pressed.pressure_kpa.max()),
         "height_error_estimate_mm": pressed.validity.height_error_mm,
         **sheet_figures(pressed),
+        **slide_figures(pressed),
+        **hold_figures(pressed),
         **texture_figures(pressed),
         "warnings": list(pressed.validity.warnings),
     }
@@ -257,6 +259,26 @@ def sheet_figures(pressed: PressedElastomer) -> dict[str, float]:
         "largest_stretch": float(pressed.sheet.stretch.max()),
         "steepest_deg": pressed.validity.max_slope_deg,
     }
+
+
+def slide_figures(pressed: PressedElastomer) -> dict[str, float]:
+    """Return the figures of a slide by name: force, N, and share of the contact that sticks."""
+    if pressed.shear is None:
+        return {}
+    return {
+        "shear_force_n": pressed.shear.force_n,
+        "stick_area_share": pressed.stick_area_share,
+        "largest_slip_mm": float(np.hypot(pressed.shear.slip_x_mm, pressed.shear.slip_y_mm).max()),
+    }
+
+
+def hold_figures(pressed: PressedElastomer) -> dict[str, float]:
+    """Return the figures of a relaxing elastomer by name: its state when the press ended."""
+    figures = {
+        "initial_force_n": pressed.initial_force_n,
+        "relief_change_um": pressed.relief_change_um,
+    }
+    return {name: value for name, value in figures.items() if value is not None}
 
 
 def write_transfer(path: Path, transfer: ContactTransfer) -> None:

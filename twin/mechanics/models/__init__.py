@@ -80,7 +80,7 @@ class PressInput:
     @cached_property
     def _linear(self) -> PressedElastomer | PressError:
         try:
-            refuse_sheet_keys(self.elastomer, "spectral")
+            refuse_sheet_keys(self.elastomer, "spectral", slab_refusals(self))
             return press(self.specimen, self.elastomer, self.load)
         except PressError as error:
             return error
@@ -120,6 +120,12 @@ class ElastomerModel(elastomer_models.ModelFields):
     """Whether the model is the exact linear slab. Then the modulus only scales pressure and force
     of a press to a depth, and the coat's displacement in its plane follows from the pressure."""
 
+    relaxes: ClassVar[bool] = False
+    """Whether a press of a relaxing elastomer is equivalent to an elastic press by this model."""
+
+    slides: ClassVar[bool] = False
+    """Whether the model computes friction while the specimen slides after the press."""
+
     leaves_out: ClassVar[str] = "large strain"
     """Effect that the model neglects, which causes `Validity.height_error_mm`; for reports."""
 
@@ -148,7 +154,7 @@ class ElastomerModel(elastomer_models.ModelFields):
         PressError : the message states key, value and remedy
         """
         if self.refuses_sheet_keys:
-            refuse_sheet_keys(case.elastomer, self.name)
+            refuse_sheet_keys(case.elastomer, self.name, slab_refusals(case))
         check_load(case.shape, case.elastomer, case.load)
 
     def press(self, case: PressInput, progress: Progress | None = None) -> PressedElastomer:
@@ -220,6 +226,12 @@ def sheet_keys(elastomer: Elastomer) -> list[str]:
         "thickness_field": elastomer.thickness_field is not None,
     }
     return [key for key, is_given in given.items() if is_given]
+
+
+def slab_refusals(case: PressInput) -> list[str]:
+    """Return the keys that only a thin sheet models; a slide also uses the friction coefficient."""
+    keys = sheet_keys(case.elastomer)
+    return [key for key in keys if not (case.load.slides and key == "friction_coefficient")]
 
 
 def refuse_sheet_keys(elastomer: Elastomer, model: str, keys: Sequence[str] | None = None) -> None:
