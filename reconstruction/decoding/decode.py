@@ -7,6 +7,7 @@ fringe orders are determined at the edges of stripes.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -33,9 +34,11 @@ from reconstruction.decoding.plan import (
     units_of,
 )
 from reconstruction.decoding.reference import expect_at_pixels
+from reconstruction.decoding.residuals import mask_residuals
 from reconstruction.decoding.ripple import NODES, Ripple, ripple_of
 from reconstruction.errors import InputError
 from reconstruction.patterns import AXES, Axis, PatternSet
+from reconstruction.reduction import reduced
 from reconstruction.rig.projected_light import ProjectorResponse
 from reconstruction.rig.sensor import SensorNoise
 
@@ -75,11 +78,15 @@ def decode(
     ------
     InputError : the stack has a wrong type or number of axes or frames; `scale` has a wrong shape
         or values that are not positive; `response` or a reference is given with a code that cannot
-        use it; `unwrap` is given for patterns without fringes, or returns a wrong shape
+        use it; `unwrap` is given for patterns without fringes, or returns a wrong shape; a single
+        fringe image has no carrier
     """
     options = options or DecodeOptions()
     _check(stack, patterns, scale, response, None if unwrap else options.reference)
-    frames = np.ascontiguousarray(stack)
+    recorded = reduced(np.ascontiguousarray(stack), patterns, sensor, scale)
+    frames, patterns = recorded.stack, recorded.patterns
+    if recorded.is_smooth:  # neither harmonics nor noise of single pixels remain
+        options, response = replace(options, filter_taps=0), None
     ripple = ripple_of(patterns, response)
     rule = patterns.kind.rule if unwrap is None else Rule.OWN
     # For displaced patterns the kernels decode x + displacement; numpy functions get phases at x.
@@ -87,7 +94,7 @@ def decode(
     gains = estimate_gains(frames, patterns, sensor, options, scale)
     plan = make_plan(
         frames, patterns, sensor, options, scale,
-        ripple=ripple, displacement=displacement, gains=gains,
+        ripple=ripple, displacement=displacement, gains=gains, equal_steps=recorded.equal_steps,
     )  # fmt: skip
     maps = blank_maps(stack.shape[1], stack.shape[2])
     islands = None
@@ -98,6 +105,8 @@ def decode(
         periods = partial(micro_periods, frames, patterns, sensor, scale)
         _decode_compiled(frames, patterns, plan, periods, maps)
     units = units_of(sensor, scale)
+    if options.max_residual_sigmas is not None and patterns.steps:
+        mask_residuals(maps, patterns, plan, options.max_residual_sigmas, recorded.noise_share)
     smoothed = _smoothed(maps, options, patterns)
     if gains is not None:
         smoothed = widen(smoothed, maps, patterns, gains, units[:2])

@@ -61,6 +61,8 @@ OUTLIER_SIGMAS = 4.0
 DARK_STEPS = 5
 # Share of the mean diagonal that is added to the diagonal: the equations are never singular.
 RIDGE = 1e-9
+# Least residual of a harmonic of amplitude 1 that is more than rounding.
+LEAST_REST = 1e-9
 
 
 class _Model(NamedTuple):
@@ -188,8 +190,10 @@ def _model(shifts: FloatArray) -> _Model:
     turns, steps = 2.0 * np.pi * shifts, shifts.size
     basis = np.stack([np.ones(steps), np.cos(turns), -np.sin(turns)], axis=1)
     unexplained = np.eye(steps) - basis * np.array([1.0, 2.0, 2.0]) @ basis.T / steps
-    # Other harmonics are not distinguished from A and B exp(i phi).
-    orders = [h for h in HARMONICS if h % steps not in (0, 1, steps - 1)]
+    # A harmonic without residuals is not distinguished from A and B exp(i phi).
+    waves = np.exp(1j * np.outer(HARMONICS, turns))
+    rests = np.abs(waves @ unexplained).max(axis=1)
+    orders = [h for h, rest in zip(HARMONICS, rests, strict=True) if rest > LEAST_REST]
     others = np.zeros((2 * len(orders) + 1, steps, 2 * len(orders) + 4))
     for unknown, h in zip(range(0, 2 * len(orders), 2), orders, strict=True):
         cosine, sine = np.cos(h * turns), np.sin(h * turns)
