@@ -20,6 +20,10 @@ BoolImage = BoolArray
 Levels = NDArray[np.uint8]
 Stack = NDArray[Any]
 
+LATER = {"later": True}
+"""Metadata of a dataclass field that is newer than stored digests, see `config.digest` of the twin:
+at its default, it does not change the digest of the content."""
+
 Alignment = Literal["none", "offset", "offset_tilt", "rigid"]
 """Motion that is fitted and removed before two surfaces are compared, see `evaluate.deviation`."""
 

@@ -15,13 +15,13 @@ significant bit first. An inverse frame shows the complement of one bit.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Literal
 
 import numpy as np
 
-from reconstruction.arrays import BoolArray, FloatArray, IntArray, Levels
+from reconstruction.arrays import LATER, BoolArray, FloatArray, IntArray, Levels
 from reconstruction.codes import CODES, AxisFringes, CodeWord, PatternCode, Rule, code_of
 from reconstruction.errors import InputError, require_integer, require_number
 from reconstruction.pixel_shape import PixelRatio, require_pixel_ratio
@@ -110,8 +110,8 @@ class PatternSet:
     uniform: bool = True
     first_shifts_deg: tuple[float, ...] = ()
     pixel_ratio: PixelRatio = 1.0
-    stepping: str = "equal"
-    waveform: Waveform = "sinusoidal"
+    stepping: str = field(default="equal", metadata=LATER)
+    waveform: Waveform = field(default="sinusoidal", metadata=LATER)
 
     def __post_init__(self) -> None:
         require_integer("patterns width_px", self.width_px, 1, 65536)

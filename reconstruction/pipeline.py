@@ -17,6 +17,7 @@ from reconstruction.codes import Unwrap
 from reconstruction.colouring import Deviation, Intensity
 from reconstruction.decoding.decode import AxisDecode, Decoded, DecodeOptions, decode
 from reconstruction.errors import CaptureError, InputError, one_line
+from reconstruction.motion.stage import hold_still
 from reconstruction.netcdf import (
     PIXELS,
     LabelledArrays,
@@ -124,13 +125,17 @@ def reconstruct(
 
     Raises
     ------
-    InputError : stack, patterns and calibration are inconsistent, or `unwrap` returns coordinates
-        of another shape
+    InputError : stack, patterns, calibration and stage are inconsistent, or `unwrap` returns
+        coordinates of another shape
     """
     chosen = options or ReconstructOptions()
-    rig = capture.calibration
+    rig, stack = capture.calibration, capture.stack
+    if capture.stage is not None:
+        stack = hold_still(
+            stack, capture.patterns, capture.sensor, rig, capture.stage, scale=capture.scale
+        )
     decoded = decode(
-        capture.stack,
+        stack,
         capture.patterns,
         capture.sensor,
         chosen.decode,

@@ -48,7 +48,7 @@ class Steps(NamedTuple):
     def times(self) -> FloatArray:
         """Time of each frame, in frames, from the middle of the set."""
         count = self.shifts_rad.size
-        return np.arange(count) - 0.5 * (count - 1)
+        return np.arange(count, dtype=np.float64) - 0.5 * (count - 1)
 
 
 def steps_of(patterns: PatternSet, axis: Axis = "column", fringes: int = 0) -> Steps:

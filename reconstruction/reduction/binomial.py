@@ -20,13 +20,13 @@ import numpy as np
 
 from reconstruction.arrays import FloatArray, FloatImage, Stack
 from reconstruction.errors import InputError
+from reconstruction.patterns import PatternSet
 from reconstruction.reduction.equivalent import (
     Equivalent,
     fringe_sets,
     lost_pixels,
     with_equal_steps,
 )
-from reconstruction.patterns import PatternSet
 from reconstruction.rig.sensor import SensorNoise
 from reconstruction.stepping import CYCLE
 

@@ -61,9 +61,7 @@ def lost_pixels(
     return lost, np.asarray(black_dn + (sensor.saturation_dn - black_dn) * factor, np.float32)
 
 
-def with_equal_steps(
-    stack: Stack, patterns: PatternSet, sets: list[FloatImage]
-) -> FloatImage:
+def with_equal_steps(stack: Stack, patterns: PatternSet, sets: list[FloatImage]) -> FloatImage:
     """Return the stack (frame, row, col) float32 with other frames in place of the phase frames.
 
     Parameters

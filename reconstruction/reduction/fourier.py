@@ -19,13 +19,13 @@ from scipy import ndimage
 
 from reconstruction.arrays import BoolImage, FloatArray, FloatImage, Stack
 from reconstruction.errors import InputError
+from reconstruction.patterns import Axis, PatternSet
 from reconstruction.reduction.equivalent import (
     Equivalent,
     fringe_sets,
     lost_pixels,
     with_equal_steps,
 )
-from reconstruction.patterns import Axis, PatternSet
 from reconstruction.rig.sensor import SensorNoise
 from reconstruction.stepping import CYCLE
 
@@ -111,7 +111,7 @@ def _window(distance: FloatArray) -> FloatArray:
 
 
 def noise_share(carrier: Carrier) -> float:
-    """Return the share of white noise in the window: the integral of its square over frequencies."""
+    """Return the share of white noise in the window: the integral of its square."""
     distance = np.linspace(0.0, END, 2001)
     rings = 2.0 * np.pi * distance * np.square(_window(distance))
     return float(np.trapezoid(rings, distance)) * carrier.frequency**2
