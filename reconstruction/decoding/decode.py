@@ -85,6 +85,8 @@ def decode(
     _check(stack, patterns, scale, response, None if unwrap else options.reference)
     recorded = reduced(np.ascontiguousarray(stack), patterns, sensor, scale)
     frames, patterns = recorded.stack, recorded.patterns
+    if recorded.is_reduced:  # four averaged frames do not distinguish motion from changing light
+        options = replace(options, frame_gains=False)
     if recorded.is_smooth:  # neither harmonics nor noise of single pixels remain
         options, response = replace(options, filter_taps=0), None
     ripple = ripple_of(patterns, response)

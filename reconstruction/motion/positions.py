@@ -42,6 +42,8 @@ class StageMotion:
                 raise InputError(f"{name} has the entry {row!r}; give x, y and z in mm")
             for value in row:
                 require_number(name, value, -1e4, 1e4)
+        object.__setattr__(self, "positions_mm", tuple(map(tuple, self.positions_mm)))
+        object.__setattr__(self, "velocity_mm_per_frame", tuple(self.velocity_mm_per_frame))
         require_number("stage surface_z_mm", self.surface_z_mm, -1e4, 1e4)
 
     def displacements_mm(self, patterns: PatternSet) -> FloatArray:

@@ -38,5 +38,5 @@ def reduced(
     InputError : a single fringe image has no carrier, see `fourier.find_carrier`
     """
     if not patterns.steps or not patterns.phase_shifts.is_reduced:
-        return Equivalent(stack, patterns, float(patterns.steps or 1))
+        return Equivalent(stack, patterns, float(patterns.steps or 1), is_reduced=False)
     return REDUCTIONS[patterns.stepping](stack, patterns, sensor, scale)

@@ -23,12 +23,14 @@ class Equivalent:
     patterns : pattern sequence with the stepping "equal"
     equal_steps : number of frames of the camera's noise that give the same sigma of the phase:
         sigma_phi^2 = 2 sigma_I^2 / (equal_steps B^2)
+    is_reduced : whether the phase frames are not those of the camera
     is_smooth : whether the noise is equal over many pixels, so that no filter reduces it
     """
 
     stack: Stack
     patterns: PatternSet
     equal_steps: float
+    is_reduced: bool = True
     is_smooth: bool = False
 
     @property

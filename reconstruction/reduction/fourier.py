@@ -131,12 +131,13 @@ def find_carrier(fringes_dn: FloatArray, axis: Axis) -> Carrier:
     """
     rows, cols = fringes_dn.shape
     taper = np.hanning(rows)[:, np.newaxis] * np.hanning(cols)
-    power = np.square(np.abs(np.fft.fft2(fringes_dn * taper)))
+    around_dn = fringes_dn - float((fringes_dn * taper).sum() / taper.sum())
+    power = np.square(np.abs(np.fft.fft2(around_dn * taper)))
     row, column = np.meshgrid(np.fft.fftfreq(rows), np.fft.fftfreq(cols), indexing="ij")
     frequency = np.hypot(row, column)
     along = row if axis == "row" else column
     least = LEAST_FRINGES / max(rows, cols)
-    power = np.where((along > 0.0) & (frequency >= least), power, 0.0)
+    power = np.where(along > 0.0, power, 0.0)
     peak = np.unravel_index(int(np.argmax(power)), power.shape)
     near = np.hypot(row - row[peak], column - column[peak]) < FLAT * frequency[peak]
     weight = power * near
