@@ -17,7 +17,6 @@ from reconstruction.codes import Unwrap
 from reconstruction.colouring import Deviation, Intensity
 from reconstruction.decoding.decode import AxisDecode, Decoded, DecodeOptions, decode
 from reconstruction.errors import CaptureError, InputError, one_line
-from reconstruction.motion.stage import hold_still
 from reconstruction.netcdf import (
     PIXELS,
     LabelledArrays,
@@ -131,6 +130,8 @@ def reconstruct(
     chosen = options or ReconstructOptions()
     rig, stack = capture.calibration, capture.stack
     if capture.stage is not None:
+        from reconstruction.motion.stage import hold_still
+
         stack = hold_still(
             stack, capture.patterns, capture.sensor, rig, capture.stage, scale=capture.scale
         )

@@ -143,7 +143,7 @@ def widen(
     smoothed: Smoothed,
     maps: Maps,
     patterns: PatternSet,
-    gains: FrameGains,
+    gains: FrameGains | None,
     units: tuple[float, float],
 ) -> Smoothed:
     """Return the maps with the uncertainty of the frames' light added to sigma.
@@ -154,8 +154,11 @@ def widen(
     ----------
     smoothed : filtered maps
     maps : unfiltered maps, with mean and modulation
+    gains : light of the frames; None: it is steady, the maps are unchanged
     units : of levels, DN, and of sigma, px, in half precision
     """
+    if gains is None:
+        return smoothed
     level_unit, sigma_unit = units
     sigma, share = smoothed.sigma.copy(), smoothed.bias_share.copy()
     for axis in patterns.axes:

@@ -4,6 +4,7 @@ import numpy as np
 
 from reconstruction.arrays import Reason
 from reconstruction.compact import Half
+from reconstruction.decoding import DecodeOptions
 from reconstruction.decoding._decode import Maps, Plan
 from reconstruction.decoding._rows import BIAS
 from reconstruction.decoding.grey_levels import variance_dn2
@@ -11,7 +12,7 @@ from reconstruction.patterns import AXES, PatternSet
 
 
 def mask_residuals(
-    maps: Maps, patterns: PatternSet, plan: Plan, most_sigmas: float, noise_share: float
+    maps: Maps, patterns: PatternSet, plan: Plan, options: DecodeOptions, noise_share: float
 ) -> None:
     """Mask valid pixels with a large residual of the sine fit with the reason MOTION, in place.
 
@@ -20,9 +21,13 @@ def mask_residuals(
 
     Parameters
     ----------
-    most_sigmas : largest RMS residual, in standard deviations of a level at the mean level
+    options : with `max_residual_sigmas`, the largest RMS residual in standard deviations of a
+        level at the mean level; None: no pixel is masked
     noise_share : noise variance of a phase frame as a share of that of a frame of the camera
     """
+    most_sigmas = options.max_residual_sigmas
+    if most_sigmas is None or not patterns.steps:
+        return
     unit_dn = BIAS / float(plan.units.level)
     for axis in patterns.axes:
         k = AXES.index(axis)

@@ -38,7 +38,7 @@ _ITERATIONS, _LARGEST_CHANGE, _RIDGE = 4, 0.3, 1e-10
 _LARGEST_SHARE = 1.0
 
 
-class Steps(NamedTuple):
+class PhaseSteps(NamedTuple):
     """Shifts of the frames of a fringe set, and their weights in the phasor; both (step,)."""
 
     shifts_rad: FloatArray
@@ -51,7 +51,7 @@ class Steps(NamedTuple):
         return np.arange(count, dtype=np.float64) - 0.5 * (count - 1)
 
 
-def steps_of(patterns: PatternSet, axis: Axis = "column", fringes: int = 0) -> Steps:
+def steps_of(patterns: PatternSet, axis: Axis = "column", fringes: int = 0) -> PhaseSteps:
     """Return shifts and weights of the frames of one period of a sequence.
 
     Parameters
@@ -66,8 +66,8 @@ def steps_of(patterns: PatternSet, axis: Axis = "column", fringes: int = 0) -> S
         raise InputError(f"patterns have no phase steps along axis {axis!r}")
     shifts_rad = TURN * np.array(patterns.shifts(axis, fringes))
     if patterns.stepping == "cyclic":
-        return Steps(shifts_rad, binomial_weights(shifts_rad.size))
-    return Steps(shifts_rad, np.ones(shifts_rad.size))
+        return PhaseSteps(shifts_rad, binomial_weights(shifts_rad.size))
+    return PhaseSteps(shifts_rad, np.ones(shifts_rad.size))
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +84,9 @@ class MotionError:
     ripple_rad: FloatArray
 
 
-def predicted_motion_error(rate_rad: Any, steps: Steps, acceleration_rad: Any = 0.0) -> MotionError:
+def predicted_motion_error(
+    rate_rad: Any, steps: PhaseSteps, acceleration_rad: Any = 0.0
+) -> MotionError:
     """Return bias and ripple of the phase for phase rates of any shape.
 
     Parameters
@@ -99,7 +101,7 @@ def predicted_motion_error(rate_rad: Any, steps: Steps, acceleration_rad: Any = 
 
 
 def phase_error(
-    phase_rad: Any, rate_rad: Any, steps: Steps, acceleration_rad: Any = 0.0
+    phase_rad: Any, rate_rad: Any, steps: PhaseSteps, acceleration_rad: Any = 0.0
 ) -> FloatArray:
     """Return the error, rad, of the phase of the N-step fit, measured minus true phase.
 
@@ -113,7 +115,7 @@ def phase_error(
     return np.asarray(np.angle(direct + mirrored * turned), np.float64)
 
 
-def _responses(rate_rad: Any, steps: Steps, acceleration_rad: Any) -> tuple[Any, Any]:
+def _responses(rate_rad: Any, steps: PhaseSteps, acceleration_rad: Any) -> tuple[Any, Any]:
     """Return P and Q of the module's docstring, complex, with the shape of the rates."""
     rate, acceleration = (np.asarray(value, np.float64) for value in (rate_rad, acceleration_rad))
     direct, mirrored = 0.0j, 0.0j
@@ -188,7 +190,7 @@ class MovingFit(NamedTuple):
     sigma_share: FloatArray
 
 
-def fit_moving(frames: FloatArray, steps: Steps) -> MovingFit:
+def fit_moving(frames: FloatArray, steps: PhaseSteps) -> MovingFit:
     """Fit A, B, phi and the phase rate e to every pixel by Gauss-Newton least squares.
 
     Parameters

@@ -7,21 +7,13 @@
 | fourier | "single": phase of one fringe image by Fourier transform |
 """
 
-from collections.abc import Callable
-
 from reconstruction.arrays import FloatImage, Stack
 from reconstruction.patterns import PatternSet
 from reconstruction.reduction.binomial import average_cyclic
 from reconstruction.reduction.equivalent import Equivalent
-from reconstruction.reduction.fourier import transform_single
 from reconstruction.rig.sensor import SensorNoise
 
 __all__ = ["Equivalent", "reduced"]
-
-REDUCTIONS: dict[str, Callable[..., Equivalent]] = {
-    "cyclic": average_cyclic,
-    "single": transform_single,
-}
 
 
 def reduced(
@@ -39,4 +31,9 @@ def reduced(
     """
     if not patterns.steps or not patterns.phase_shifts.is_reduced:
         return Equivalent(stack, patterns, float(patterns.steps or 1), is_reduced=False)
-    return REDUCTIONS[patterns.stepping](stack, patterns, sensor, scale)
+    if patterns.stepping == "cyclic":
+        return average_cyclic(stack, patterns, sensor, scale)
+    # Imported here: most reconstructions need no Fourier transform.
+    from reconstruction.reduction.fourier import transform_single
+
+    return transform_single(stack, patterns, sensor, scale)
