@@ -20,6 +20,10 @@ BoolImage = BoolArray
 Levels = NDArray[np.uint8]
 Stack = NDArray[Any]
 
+LATER = {"later": True}
+"""Metadata of a dataclass field that is newer than stored digests, see `config.digest` of the twin:
+at its default, it does not change the digest of the content."""
+
 Alignment = Literal["none", "offset", "offset_tilt", "rigid"]
 """Motion that is fitted and removed before two surfaces are compared, see `evaluate.deviation`."""
 
@@ -37,7 +41,8 @@ def at_pixels(image: NDArray[Any], where: BoolImage) -> NDArray[Any]:
 class Reason(IntEnum):
     """Reason why a pixel of a fringe measurement has no point.
 
-    If several reasons apply, the one with the lowest code is stored.
+    If several reasons apply, the one with the lowest code is stored; EPIPOLAR_MISMATCH and NO_POINT
+    apply to decoded pixels only.
     """
 
     VALID = 0
@@ -61,6 +66,10 @@ class Reason(IntEnum):
     """The camera pixel has no ray, because the lens model cannot be inverted there. Or its ray does
     not intersect the projector plane in front of both devices and within the range of the
     projector's lens model."""
+    MOTION = 9
+    """The levels of the phase frames are not those of a fringe at rest: the surface moved, or the
+    pixel is lit by two surfaces. Only `DecodeOptions.max_residual_sigmas` sets this reason, and
+    only for pixels without another one."""
 
 
 class PhotometricReason(IntEnum):

@@ -15,28 +15,31 @@ significant bit first. An inverse frame shows the complement of one bit.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Literal
 
 import numpy as np
 
-from reconstruction.arrays import BoolArray, FloatArray, IntArray, Levels
+from reconstruction.arrays import LATER, BoolArray, FloatArray, IntArray, Levels
 from reconstruction.codes import CODES, AxisFringes, CodeWord, PatternCode, Rule, code_of
 from reconstruction.errors import InputError, require_integer, require_number
 from reconstruction.pixel_shape import PixelRatio, require_pixel_ratio
+from reconstruction.stepping import STEPS_RANGE, Stepping, stepping_of
 from reconstruction.words import WORDS, WordEncoding
 
 Kind = Literal["phase", "gray", "inverse", "white", "black"]
 Axis = Literal["column", "row"]
 AXES: tuple[Axis, Axis] = ("column", "row")
+Waveform = Literal["sinusoidal", "square"]
+WAVEFORMS: tuple[Waveform, ...] = ("sinusoidal", "square")
 
 # Below 4 px a Gray stripe of a fractional period may be displaced by 0.25 periods, the whole margin
 # of the edge-safe rules.
 PERIOD_RANGE_PX = (4.0, 65536.0)
-STEPS_RANGE = (3, 1000)
 # Least width of a code word without phase frames, which needs no margin for the phase.
 LEAST_STRIPE_PX = 1.0
+LARGEST_EDGE_ERROR_PX = 1e-3
 MOST_FURTHER_PERIODS = 31
 
 
@@ -86,6 +89,10 @@ class PatternSet:
         the column axis, then of every period along the row axis; for the shown axes only; (): all 0
     pixel_ratio : width of a projector pixel divided by its height, or "diamond", see
         `pixel_shape`; the patterns do not depend on it, a calibration does
+    stepping : phase shifts of the `steps` frames of a period, a name in `stepping.STEPPINGS`; other
+        than "equal": for scenes in motion
+    waveform : brightness over one fringe period: "square" has the levels black and white only (one
+        bit), which the blur of the projector makes sinusoidal
     """
 
     width_px: int
@@ -103,18 +110,21 @@ class PatternSet:
     uniform: bool = True
     first_shifts_deg: tuple[float, ...] = ()
     pixel_ratio: PixelRatio = 1.0
+    stepping: str = field(default="equal", metadata=LATER)
+    waveform: Waveform = field(default="sinusoidal", metadata=LATER)
 
     def __post_init__(self) -> None:
         require_integer("patterns width_px", self.width_px, 1, 65536)
         require_integer("patterns height_px", self.height_px, 1, 65536)
         shortest_px, longest_px = self._period_range_px()
         require_number("patterns period_px", self.period_px, shortest_px, longest_px)
-        if self.steps != 0 or isinstance(self.steps, bool):
-            require_integer("patterns steps", self.steps, *STEPS_RANGE)
+        self._check_steps()
         require_integer("patterns low_level", self.low_level, 0, 254)
         require_integer("patterns high_level", self.high_level, self.low_level + 1, 255)
         require_pixel_ratio("patterns pixel_ratio", self.pixel_ratio)
-        code_of(self.code)
+        if self.waveform not in WAVEFORMS:
+            allowed = ", ".join(WAVEFORMS)
+            raise InputError(f"patterns waveform is {self.waveform!r}; allowed are {allowed}")
         for name in ("further_periods_px", "row_periods_px"):
             allowed_px = (shortest_px, longest_px)
             object.__setattr__(self, name, _periods(name, getattr(self, name), allowed_px))
@@ -122,6 +132,7 @@ class PatternSet:
         object.__setattr__(self, "first_shifts_deg", self._checked_shifts())
         self._check_words()
         self._check_periods()
+        self._check_edges()
 
     @cached_property
     def frames(self) -> tuple[PatternFrame, ...]:
@@ -163,6 +174,11 @@ class PatternSet:
     def kind(self) -> PatternCode:
         """The pattern code that numbers the fringes, from `CODES`."""
         return CODES[self.code]
+
+    @property
+    def phase_shifts(self) -> Stepping:
+        """The phase shifts of the frames of one period, from `STEPPINGS`."""
+        return stepping_of(self.stepping)
 
     @property
     def encoding(self) -> WordEncoding:
@@ -285,7 +301,10 @@ class PatternSet:
         if self.first_shifts_deg:
             place = self.axes.index(axis) * len(self.periods_px) + fringes
             first = self.first_shifts_deg[place] / 360.0
-        return tuple(first + step / self.steps for step in range(self.images(fringes)))
+        images = self.images(fringes)
+        if images < self.steps:
+            return (first,) * images
+        return tuple(first + shift for shift in self.phase_shifts.shifts(images))
 
     def _brightness(self, frame: PatternFrame) -> FloatArray:
         if frame.axis is None:
@@ -293,9 +312,52 @@ class PatternSet:
         x_px = np.arange(self.length_px(frame.axis), dtype=np.float64)
         if frame.kind == "phase":
             period_px, shift = self.phase_of(frame)
+            if self.waveform == "square":
+                return self._square(x_px / period_px + shift)
             return 0.5 + 0.5 * np.cos(2.0 * np.pi * (x_px / period_px + shift))
         bright = self.shown(frame.axis)[frame.index]
         return np.asarray(1.0 - bright if frame.kind == "inverse" else bright)
+
+    @staticmethod
+    def _square(turns: FloatArray) -> FloatArray:
+        """Return 1 in the half of a turn around 0, otherwise 0, at phases in turns."""
+        # Rounded, so that a pixel at the border of the half has the same level in every period.
+        return np.asarray(np.round(turns + 0.25, 9) % 1.0 < 0.5, np.float64)
+
+    def _check_edges(self) -> None:
+        """Raise InputError if an edge of a square fringe is not between two projector pixels.
+
+        The edge would be displaced by up to half a pixel, and the phase with it.
+        """
+        if self.waveform == "sinusoidal" or not self.steps:
+            return
+        for axis in self.axes:
+            for fringes, period_px in enumerate(self.periods_along(axis)):
+                shifts = np.array(self.shifts(axis, fringes))
+                edges_px = period_px * (np.array([[-0.25], [0.25]]) - shifts)
+                if np.abs(edges_px % 1.0 - 0.5).max() > LARGEST_EDGE_ERROR_PX:
+                    raise InputError(
+                        f"patterns waveform is 'square' with period_px {period_px:g} and shifts"
+                        f" {', '.join(f'{shift:.4g}' for shift in shifts)} turns: edges are not"
+                        " between pixels; choose period_px / 2 odd and a multiple of steps, or"
+                        f" first_shifts_deg {180.0 / period_px:g} and a multiple of steps"
+                    )
+
+    def _check_steps(self) -> None:
+        shifts, code = stepping_of(self.stepping), code_of(self.code)
+        if self.steps != 0 or isinstance(self.steps, bool):
+            require_integer("patterns steps", self.steps, min(shifts.least, STEPS_RANGE[0]), 1000)
+            shifts.check(self.stepping, self.steps)
+        elif self.stepping != "equal":
+            raise InputError(
+                f"patterns stepping is {self.stepping!r} with steps 0, without fringes; leave it"
+                " out, or give the number of phase frames"
+            )
+        if self.stepping != "equal" and code.rule is Rule.SINGLE_IMAGES:
+            raise InputError(
+                f"patterns stepping is {self.stepping!r} with code {self.code!r}, which needs"
+                " 'equal'; leave it out or use another code"
+            )
 
     def _period_range_px(self) -> tuple[float, float]:
         return (PERIOD_RANGE_PX[0] if self.steps else LEAST_STRIPE_PX), PERIOD_RANGE_PX[1]

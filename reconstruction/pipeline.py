@@ -124,13 +124,19 @@ def reconstruct(
 
     Raises
     ------
-    InputError : stack, patterns and calibration are inconsistent, or `unwrap` returns coordinates
-        of another shape
+    InputError : stack, patterns, calibration and stage are inconsistent, or `unwrap` returns
+        coordinates of another shape
     """
     chosen = options or ReconstructOptions()
-    rig = capture.calibration
+    rig, stack = capture.calibration, capture.stack
+    if capture.stage is not None:
+        from reconstruction.motion.stage import hold_still
+
+        stack = hold_still(
+            stack, capture.patterns, capture.sensor, rig, capture.stage, scale=capture.scale
+        )
     decoded = decode(
-        capture.stack,
+        stack,
         capture.patterns,
         capture.sensor,
         chosen.decode,
@@ -321,10 +327,13 @@ def _labelled(maps: Maps, attributes: dict[str, Any]) -> LabelledArrays:
     for name in maps:
         units = UNITS.get(name.rsplit("_", 1)[-1], "1")
         variables[name] = {"units": units, "long_name": _long_name(name)}
+    # Files without pixels in motion keep the bytes that they had before this reason existed.
+    has_motion = bool(np.any(maps["mask_reason"] == Reason.MOTION))
+    flags = [reason for reason in Reason if has_motion or reason is not Reason.MOTION]
     variables["mask_reason"].update(
         comment="where it is not 0, points and their sigmas are 0 and no values",
-        flag_values=np.array([int(reason) for reason in Reason], np.uint8),
-        flag_meanings=" ".join(reason.name for reason in Reason),
+        flag_values=np.array([int(reason) for reason in flags], np.uint8),
+        flag_meanings=" ".join(reason.name for reason in flags),
     )
     return LabelledArrays(
         {name: (PIXELS, values, variables[name]) for name, values in maps.items()},
@@ -407,8 +416,9 @@ def _from_variables(maps: Maps) -> Reconstruction:
         for axis in AXES
     )
     reason = maps["mask_reason"].astype(np.uint8)
-    # The last two reasons are set in triangulation: such a pixel was decoded.
-    decoded_reason = np.where(reason < Reason.EPIPOLAR_MISMATCH, reason, 0).astype(np.uint8)
+    # These two reasons are set in triangulation: such a pixel was decoded.
+    was_decoded = np.isin(reason, (Reason.EPIPOLAR_MISMATCH, Reason.NO_POINT))
+    decoded_reason = np.where(was_decoded, 0, reason).astype(np.uint8)
     points, sigma = (
         np.stack([maps[f"{before}{name}_mm"] for name in "xyz"], axis=-1).astype(np.float32)
         for before in ("", "sigma_")

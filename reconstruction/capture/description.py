@@ -21,6 +21,7 @@ from typing import Any, TypeVar
 from reconstruction import reading
 from reconstruction.capture.recorded import RecordedFrames
 from reconstruction.errors import CaptureError, InputError, require_integer
+from reconstruction.motion.positions import StageMotion
 from reconstruction.patterns import PatternSet
 from reconstruction.rig.projected_light import ProjectorResponse
 from reconstruction.rig.sensor import SensorNoise
@@ -40,7 +41,8 @@ ALWAYS_TOLD = (
     "further_periods_px",
 )
 TABLES: dict[str, type[Any]] = {"patterns": PatternSet, "sensor": SensorNoise}
-RESPONSE = "response"
+RESPONSE, STAGE = "response", "stage"
+OPTIONAL: dict[str, type[Any]] = {RESPONSE: ProjectorResponse, STAGE: StageMotion}
 Part = TypeVar("Part")
 
 
@@ -60,6 +62,7 @@ class Description:
     stack_file: str
     calibration_file: str
     response: ProjectorResponse | None = None
+    stage: StageMotion | None = None
 
     def __post_init__(self) -> None:
         require_integer("width_px", self.width_px, 1, 1_000_000)
@@ -79,6 +82,7 @@ class Description:
             self.bit_depth,
             folder / self.calibration_file,
             self.response,
+            self.stage,
             stack_file=folder / self.stack_file,
             shape=(self.height_px, self.width_px),
         )
@@ -89,8 +93,8 @@ def write_description(path: Path, description: Description) -> None:
     values: dict[str, Any] = {"format": FORMAT, "version": VERSION} | asdict(description)
     tables = {name: values.pop(name) for name in TABLES}
     tables["patterns"] = pattern_table(description.patterns)
-    del values[RESPONSE]
-    write_toml(path, values, tables | response_table(description.response))
+    tables |= response_table(description.response) | stage_table(description.stage)
+    write_toml(path, {k: values[k] for k in values if k not in (RESPONSE, STAGE)}, tables)
 
 
 def response_table(response: ProjectorResponse | None) -> dict[str, Any]:
@@ -100,6 +104,14 @@ def response_table(response: ProjectorResponse | None) -> dict[str, Any]:
     values = asdict(response)
     del values["gamma" if response.curve else "curve"]
     return {RESPONSE: values}
+
+
+def stage_table(stage: StageMotion | None) -> dict[str, Any]:
+    """Return {"stage": table} for capture.toml; {} for a specimen at rest."""
+    if stage is None:
+        return {}
+    values = asdict(stage)
+    return {STAGE: {name: value for name, value in values.items() if value not in ((), None)}}
 
 
 def pattern_table(patterns: PatternSet) -> dict[str, Any]:
@@ -140,7 +152,7 @@ def read_parts(
     ----------
     header : expected values of the keys format and version
     whole : dataclass with one field for each key of the file
-    tables : dataclass of each field that is a table, by name; also [response], if there is one
+    tables : dataclass of each field that is a table, by name; also [response] and [stage], if given
 
     Raises
     ------
@@ -152,8 +164,8 @@ def read_parts(
         parts: dict[str, Any] = {
             name: build(part, table_of(values, name), name) for name, part in tables.items()
         }
-        if RESPONSE in values:
-            parts[RESPONSE] = build(ProjectorResponse, table_of(values, RESPONSE), RESPONSE)
+        for name in OPTIONAL.keys() & values.keys():
+            parts[name] = build(OPTIONAL[name], table_of(values, name), name)
         return build(whole, values | parts, path.name)
     # TypeError: a value of a type that cannot be compared with the allowed ones.
     except (InputError, TypeError) as error:

@@ -10,11 +10,11 @@ The capture of a real camera may have one image file per frame instead of stack.
 of capture.toml, see `recorded`.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from reconstruction.arrays import FloatImage, Stack
+from reconstruction.arrays import LATER, FloatImage, Stack
 from reconstruction.capture.description import (
     DESCRIPTION_FILE,
     Description,
@@ -34,6 +34,7 @@ from reconstruction.capture.image_files import (
 from reconstruction.capture.recorded import FRAMES_FORMAT, RecordedFrames
 from reconstruction.capture.stack_file import NAMES, TYPES, read_stack, stack_arrays, write_stack
 from reconstruction.errors import CaptureError, InputError, require_integer
+from reconstruction.motion.positions import StageMotion
 from reconstruction.netcdf import pixel_coordinates
 from reconstruction.patterns import PatternSet
 from reconstruction.reading import is_regular
@@ -66,6 +67,8 @@ class Capture:
     scale : (row, col) float32, factor by which each pixel's DN above the black level was
         multiplied, see `merge_exposures`; None: a single exposure
     response : response of the projector; None: it is unknown and assumed linear
+    stage : motion of the specimen during the capture, by which `reconstruct` corrects the frames;
+        None: it was at rest
 
     Raises
     ------
@@ -79,6 +82,7 @@ class Capture:
     bit_depth: int
     scale: FloatImage | None = None
     response: ProjectorResponse | None = None
+    stage: StageMotion | None = field(default=None, metadata=LATER)
 
     def __post_init__(self) -> None:
         require_integer("bit_depth", self.bit_depth, 8, 16)
@@ -165,6 +169,7 @@ def write_capture(folder: Path | str, capture: Capture) -> None:
         STACK_FILE,
         CALIBRATION_FILE,
         capture.response,
+        capture.stage,
     )
     write_stack(folder / STACK_FILE, capture.stack, capture.patterns)
     write_calibration(folder / CALIBRATION_FILE, capture.calibration)
@@ -187,7 +192,7 @@ def read_capture(folder: Path | str) -> Capture:
     stack, scale = read_frames(recorded, calibration)
     parts = (recorded.patterns, recorded.sensor, calibration, recorded.bit_depth)
     try:
-        return Capture(stack, *parts, scale, recorded.response)
+        return Capture(stack, *parts, scale, recorded.response, recorded.stage)
     except CaptureError as error:
         raise CaptureError(f"{recorded.folder}: {error}") from error
 
@@ -209,9 +214,14 @@ def read_uncalibrated(folder: Path | str) -> UncalibratedCapture:
     Raises
     ------
     CaptureError : a file is missing, damaged or inconsistent, or the frames are clearly
-        not in the order that capture.toml states
+        not in the order that capture.toml states, or capture.toml has a table [stage]
     """
     recorded = find_recorded(find_capture(folder))
+    if recorded.stage is not None:
+        raise CaptureError(
+            f"{recorded.folder}: [stage] needs the calibration of the rig; reconstruct the capture,"
+            " or remove [stage] to decode the frames as they are"
+        )
     stack, scale = read_frames(recorded)
     return UncalibratedCapture(stack, recorded.patterns, recorded.sensor, scale, recorded.response)
 

@@ -14,8 +14,9 @@ from typing import Any
 
 from reconstruction.codes import CODES, AxisFrames, AxisFringes, PatternCode, code_of
 from reconstruction.errors import CaptureError, require_integer
-from reconstruction.patterns import AXES, STEPS_RANGE, Axis, Kind, PatternSet
+from reconstruction.patterns import AXES, Axis, Kind, PatternSet
 from reconstruction.pixel_shape import PixelRatio, require_pixel_ratio
+from reconstruction.stepping import STEPS_RANGE
 from reconstruction.words import WORDS
 
 # Largest deviation of a shift from equal steps, as a share of a step: shifts may be rounded.

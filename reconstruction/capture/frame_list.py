@@ -4,7 +4,7 @@
 |---|---|
 | format, version | "fringe-frames", 1 |
 | bit_depth, calibration_file, dark_file, | |
-| channel, [sensor], [response] | as with the key `files`, see `frame_set` |
+| channel, [sensor], [response], [stage] | as with the key `files`, see `frame_set` |
 | [projector] | width_px, height_px; pixel_ratio, if pixels are not square |
 | [[frames]] | one table for each group of images, see `FrameEntry` |
 

@@ -12,6 +12,7 @@
 | channel | optional: channel of colour images to read, "red", "green" or "blue" |
 | [sensor] | camera noise, see `SensorNoise` |
 | [response] | optional: response of the projector, see `ProjectorResponse` |
+| [stage] | optional: motion of the specimen, see `motion.positions.StageMotion` |
 
 The pattern of the file names has fields, as in "{index:03d}_{name}.png". {index} is the number of
 the frame from 0, {number} its number from 1, and {name} its name. {set} is the number of its set

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Literal, get_args
 
 from reconstruction.errors import InputError, require_integer
+from reconstruction.motion.positions import StageMotion
 from reconstruction.patterns import PatternSet
 from reconstruction.rig.projected_light import ProjectorResponse
 from reconstruction.rig.sensor import SensorNoise
@@ -40,6 +41,7 @@ class RecordedFrames:
     bit_depth : bits per pixel value, 8 to 16
     calibration_file : path of the calibration, which need not exist
     response : response of the projector; None: unknown
+    stage : motion of the specimen during the capture; None: at rest
     stack_file : file with all frames; None: they are in `files`
     shape : (rows, cols) of the frames in `stack_file`
     files : for each exposure the image of each frame, in the order of `patterns.frames`
@@ -54,6 +56,7 @@ class RecordedFrames:
     bit_depth: int
     calibration_file: Path
     response: ProjectorResponse | None = None
+    stage: StageMotion | None = None
     stack_file: Path | None = None
     shape: tuple[int, int] = (0, 0)
     files: tuple[tuple[Path, ...], ...] = ()
@@ -72,6 +75,7 @@ class ImageSet:
     dark_file: str = ""
     channel: Channel = ""
     response: ProjectorResponse | None = None
+    stage: StageMotion | None = None
 
     def __post_init__(self) -> None:
         require_integer("bit_depth", self.bit_depth, 8, 16)
@@ -109,6 +113,7 @@ class ImageSet:
             self.bit_depth,
             folder / self.calibration_file,
             self.response,
+            self.stage,
             files=tuple(map(tuple, files)),
             exposures_ms=exposures_ms,
             dark_file=folder / self.dark_file if self.dark_file else None,

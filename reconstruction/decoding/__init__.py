@@ -193,6 +193,7 @@ class DecodeOptions:
     gray_sigmas: float = 4.0
     max_condition: float = 100.0
     max_order_error: float = 0.01
+    max_residual_sigmas: float | None = None
     frame_gains: bool = True
     reference: PhaseReference | None = None
 
@@ -208,5 +209,7 @@ class DecodeOptions:
         require_number("gray_sigmas", self.gray_sigmas, 0.0)
         require_number("max_condition", self.max_condition, 1.0)
         require_number("max_order_error", self.max_order_error, 0.0, 1.0)
+        if self.max_residual_sigmas is not None:
+            require_number("max_residual_sigmas", self.max_residual_sigmas, 0.0, open_low=True)
         if not isinstance(self.frame_gains, bool):
             raise InputError(f"frame_gains is {self.frame_gains!r}; give true or false")

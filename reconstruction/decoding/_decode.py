@@ -170,7 +170,7 @@ def _fit_set(
     find_noise(fit.mean, scale, limits, noise)
     if count:
         grow_sigma(fit.excess, noise)
-    mark_low_modulation(steps, limits, fit.modulation, noise, reason)
+    mark_low_modulation(plan.layout.equal_steps, limits, fit.modulation, noise, reason)
     return count
 
 
@@ -272,7 +272,7 @@ def find_sigmas(axis: int, plan: Plan, scale: Any, work: Work) -> None:
     for j in range(plan.layout.sets):
         keep_usable(work.usable, work.phases[axis, j])
         phase_sigma(
-            plan.layout.steps, plan.limits, scale, work.usable, work.mean[axis],
+            plan.layout.equal_steps, plan.limits, scale, work.usable, work.mean[axis],
             work.modulations[axis, j], work.sigmas[j],
         )  # fmt: skip
         if plan.shot_share.size:

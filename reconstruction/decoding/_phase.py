@@ -96,7 +96,7 @@ def write_turns(phase: Any, out: Any) -> None:
 
 @nested
 def phase_sigma(
-    steps: int, limits: Limits, scale: Any, usable: Any, mean: Any, modulation: Any, sigma: Any
+    steps: float, limits: Limits, scale: Any, usable: Any, mean: Any, modulation: Any, sigma: Any
 ) -> None:  # fmt: skip
     """Write the predicted sigma of the phase, rad; 0 for pixels that are not usable.
 

@@ -35,6 +35,7 @@ class Layout(NamedTuple):
     white: int  # index of the white frame, -1: there is none
     black: int
     steps: int  # phase frames per set, 0: Gray code without fringes
+    equal_steps: float  # number of frames of the camera's noise that give the same phase sigma
     sets: int  # fringe sets per axis
     cosines: Any  # (axis, set, step) float32, cosines of the phase shifts
     sines: Any
@@ -271,13 +272,14 @@ def find_noise(mean: Any, scale: Any, limits: Limits, noise: Any) -> None:
 
 @compiled
 def mark_low_modulation(
-    steps: int, limits: Limits, modulation: Any, noise: Any, reason: Any
+    steps: float, limits: Limits, modulation: Any, noise: Any, reason: Any
 ) -> None:
     """Mark pixels as `LOW_MODULATION` if their phase sigma would exceed its limit.
 
     Pixels with less modulation than `limits.min_modulation_dn` are also marked. Pixels that are
     already marked as `SATURATED` are unchanged.
 
+    steps : number N of frames that determine the noise of the phase
     noise : (col,) sigma of the level, DN
     """
     # sigma_phi = sqrt(2 / N) sigma_I / B (Surrel 1997), solved for B.

@@ -7,6 +7,7 @@ fringe orders are determined at the edges of stripes.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -33,9 +34,11 @@ from reconstruction.decoding.plan import (
     units_of,
 )
 from reconstruction.decoding.reference import expect_at_pixels
+from reconstruction.decoding.residuals import mask_residuals
 from reconstruction.decoding.ripple import NODES, Ripple, ripple_of
 from reconstruction.errors import InputError
 from reconstruction.patterns import AXES, Axis, PatternSet
+from reconstruction.reduction import Equivalent, reduced
 from reconstruction.rig.projected_light import ProjectorResponse
 from reconstruction.rig.sensor import SensorNoise
 
@@ -66,31 +69,32 @@ def decode(
     options : filter and masks; None: the defaults of `DecodeOptions`
     scale : (row, col) float32, factor by which each pixel's DN above the black level was
         multiplied, see `merge_exposures`; None: 1 everywhere
-    response : projector response. The phase error by its harmonics is subtracted; the uncertainty
-        of this error is part of sigma and of the probability of a wrong order. None: linear
+    response : projector response; None: linear. The phase error by its harmonics is subtracted; its
+        uncertainty is part of sigma and of the probability of a wrong order
     unwrap : function that numbers the fringes of one axis, see `codes.Unwrap`; None: the code's
     expect : coordinates that are known otherwise; None: marked pixels in `options.reference`
 
     Raises
     ------
-    InputError : the stack has a wrong type or number of axes or frames; `scale` has a wrong shape
-        or values that are not positive; `response` or a reference is given with a code that cannot
-        use it; `unwrap` is given for patterns without fringes, or returns a wrong shape
+    InputError : type, axes or frames of the stack are wrong; `scale` has a wrong shape or a value
+        that is not positive; the code cannot use `response` or a reference; `unwrap` is given
+        without fringes, or returns a wrong shape; a single image has no carrier
     """
     options = options or DecodeOptions()
     _check(stack, patterns, scale, response, None if unwrap else options.reference)
-    frames = np.ascontiguousarray(stack)
-    ripple = ripple_of(patterns, response)
+    recorded = reduced(np.ascontiguousarray(stack), patterns, sensor, scale)
+    frames, patterns = recorded.stack, recorded.patterns
+    options = _options_of(recorded, options)
+    ripple = ripple_of(patterns, None if recorded.is_smooth else response)
     rule = patterns.kind.rule if unwrap is None else Rule.OWN
     # For displaced patterns the kernels decode x + displacement; numpy functions get phases at x.
     displacement = 0.0 if rule is Rule.OWN else patterns.kind.displacement
     gains = estimate_gains(frames, patterns, sensor, options, scale)
     plan = make_plan(
         frames, patterns, sensor, options, scale,
-        ripple=ripple, displacement=displacement, gains=gains,
+        ripple=ripple, displacement=displacement, gains=gains, equal_steps=recorded.equal_steps,
     )  # fmt: skip
-    maps = blank_maps(stack.shape[1], stack.shape[2])
-    islands = None
+    maps, islands = blank_maps(stack.shape[1], stack.shape[2]), None
     if rule is Rule.OWN:
         known = expect or expect_at_pixels(options.reference, stack.shape[1:])
         islands = unwrap_maps(frames, patterns, plan, maps, Numbering(unwrap, known))
@@ -98,13 +102,23 @@ def decode(
         periods = partial(micro_periods, frames, patterns, sensor, scale)
         _decode_compiled(frames, patterns, plan, periods, maps)
     units = units_of(sensor, scale)
+    mask_residuals(maps, patterns, plan, options, recorded.noise_share)
     smoothed = _smoothed(maps, options, patterns)
-    if gains is not None:
-        smoothed = widen(smoothed, maps, patterns, gains, units[:2])
-    if plan.has_ripple:
-        smoothed = _with_ripple(smoothed, maps, ripple, patterns)
+    smoothed = widen(smoothed, maps, patterns, gains, units[:2])
+    smoothed = _with_ripple(smoothed, maps, ripple, patterns)
     column, row = (_axis(maps, smoothed, axis, units, patterns) for axis in AXES)
     return Decoded(column, row, smoothed.reason, patterns.axes, gains, islands)
+
+
+def _options_of(recorded: Equivalent, options: DecodeOptions) -> DecodeOptions:
+    """Return the options without those that have no effect on reduced frames.
+
+    Four averaged frames do not distinguish motion from a change of the light. The Fourier transform
+    has filtered the image already.
+    """
+    taps = 0 if recorded.is_smooth else options.filter_taps
+    is_estimated = options.frame_gains and not recorded.is_reduced
+    return replace(options, filter_taps=taps, frame_gains=is_estimated)
 
 
 def _decode_compiled(
@@ -192,6 +206,8 @@ def _with_ripple(smoothed: Smoothed, maps: Maps, ripple: Ripple, patterns: Patte
     reduce its uncertainty. For a weighted mean of several periods the value of the measuring period
     is used. This is an upper bound, because the errors of different periods partly cancel.
     """
+    if not ripple.error_rad.size:
+        return smoothed
     sigma, share = smoothed.sigma.copy(), smoothed.bias_share.copy()
     for k, axis in enumerate(AXES):
         if axis not in patterns.axes:

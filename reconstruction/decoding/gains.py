@@ -61,6 +61,8 @@ OUTLIER_SIGMAS = 4.0
 DARK_STEPS = 5
 # Share of the mean diagonal that is added to the diagonal: the equations are never singular.
 RIDGE = 1e-9
+# Least residual of a harmonic of amplitude 1 that is more than rounding.
+LEAST_REST = 1e-9
 
 
 class _Model(NamedTuple):
@@ -141,7 +143,7 @@ def widen(
     smoothed: Smoothed,
     maps: Maps,
     patterns: PatternSet,
-    gains: FrameGains,
+    gains: FrameGains | None,
     units: tuple[float, float],
 ) -> Smoothed:
     """Return the maps with the uncertainty of the frames' light added to sigma.
@@ -152,8 +154,11 @@ def widen(
     ----------
     smoothed : filtered maps
     maps : unfiltered maps, with mean and modulation
+    gains : light of the frames; None: it is steady, the maps are unchanged
     units : of levels, DN, and of sigma, px, in half precision
     """
+    if gains is None:
+        return smoothed
     level_unit, sigma_unit = units
     sigma, share = smoothed.sigma.copy(), smoothed.bias_share.copy()
     for axis in patterns.axes:
@@ -188,8 +193,10 @@ def _model(shifts: FloatArray) -> _Model:
     turns, steps = 2.0 * np.pi * shifts, shifts.size
     basis = np.stack([np.ones(steps), np.cos(turns), -np.sin(turns)], axis=1)
     unexplained = np.eye(steps) - basis * np.array([1.0, 2.0, 2.0]) @ basis.T / steps
-    # Other harmonics are not distinguished from A and B exp(i phi).
-    orders = [h for h in HARMONICS if h % steps not in (0, 1, steps - 1)]
+    # A harmonic without residuals is not distinguished from A and B exp(i phi).
+    waves = np.exp(1j * np.outer(HARMONICS, turns))
+    rests = np.abs(waves @ unexplained).max(axis=1)
+    orders = [h for h, rest in zip(HARMONICS, rests, strict=True) if rest > LEAST_REST]
     others = np.zeros((2 * len(orders) + 1, steps, 2 * len(orders) + 4))
     for unknown, h in zip(range(0, 2 * len(orders), 2), orders, strict=True):
         cosine, sine = np.cos(h * turns), np.sin(h * turns)

@@ -26,11 +26,11 @@ def read_levels(
     gray, inverse = (stack[patterns.index(kind, axis)] for kind in ("gray", "inverse"))
     levels, sigmas = np.zeros((2, *gray.shape), np.float32)
     for number, frame in enumerate(gray.astype(np.float32)):
-        variance = _variance_dn2(frame, plan)
+        variance = variance_dn2(frame, plan)
         if len(inverse):
             against = inverse[number].astype(np.float32)
             levels[number] = 0.5 + 0.5 * (frame - against) / span_dn
-            variance = 0.25 * (variance + _variance_dn2(against, plan))
+            variance = 0.25 * (variance + variance_dn2(against, plan))
         else:
             levels[number] = (frame - low_dn) / span_dn
         sigmas[number] = np.sqrt(variance + end_variance) / span_dn
@@ -45,14 +45,14 @@ def _ends(
         white, black = (
             stack[patterns.index(kind).start].astype(np.float32) for kind in ("white", "black")
         )
-        return black, white, _variance_dn2(white, plan)
+        return black, white, variance_dn2(white, plan)
     k = AXES.index(axis)
     mean, modulation = fitted.mean[k], fitted.modulation[k]
     variance = 3.0 / patterns.steps * np.square(fitted.noise[k])
     return mean - modulation, mean + modulation, variance.astype(np.float32)
 
 
-def _variance_dn2(level_dn: FloatImage, plan: Plan) -> FloatImage:
+def variance_dn2(level_dn: FloatImage, plan: Plan) -> FloatImage:
     """Return the noise variance of levels, (row, col) DN^2; see `_sum.noise_dn2`."""
     limits, scale = plan.limits, plan.scale if plan.scale.size else np.float32(1.0)
     above = np.maximum(level_dn - limits.black_level_dn, np.float32(0.0))

@@ -45,6 +45,7 @@ def make_plan(
     ripple: Ripple | None = None,
     displacement: float = 0.0,
     gains: FrameGains | None = None,
+    equal_steps: float | None = None,
 ) -> Plan:
     """Return the parameters of the kernels for decoding one stack of frames.
 
@@ -55,11 +56,13 @@ def make_plan(
     displacement : share of the period; the kernels decode x + displacement * period, see
         `place_displaced`
     gains : relative light of the phase frames, by which their levels are divided; None: 1
+    equal_steps : number of equal frames of the camera's noise that give the same sigma of the
+        phase; None: the number of steps, see `reduction.Equivalent`
     """
     tables = turned(ripple or ripple_of(patterns, None), displacement)
     column, row = AXES
     return Plan(
-        layout=_layout(patterns, displacement, gains),
+        layout=_layout(patterns, displacement, gains, equal_steps or float(patterns.steps)),
         limits=_limits(stack, patterns, sensor, options),
         codes=(_code(patterns, column, displacement), _code(patterns, row, displacement)),
         units=Units(*(np.float32(BIAS / unit) for unit in units_of(sensor, scale))),
@@ -86,7 +89,9 @@ def _threshold_noise(patterns: PatternSet) -> float:
     return math.sqrt(1.0 + 1.0 / (patterns.steps or 2))
 
 
-def _layout(patterns: PatternSet, displacement: float, gains: FrameGains | None) -> Layout:
+def _layout(
+    patterns: PatternSet, displacement: float, gains: FrameGains | None, equal_steps: float
+) -> Layout:
     column, row = AXES
     turns = _shifts(patterns) - 2.0 * np.pi * displacement
     factors = np.ones(turns.shape) if gains is None else 1.0 / gains.relative
@@ -102,6 +107,7 @@ def _layout(patterns: PatternSet, displacement: float, gains: FrameGains | None)
         white=uniform,
         black=uniform + 1 if patterns.uniform else -1,
         steps=int(patterns.steps),
+        equal_steps=float(equal_steps),
         sets=patterns.sets,
         cosines=np.cos(turns).astype(np.float32),
         sines=np.sin(turns).astype(np.float32),
@@ -120,6 +126,8 @@ def _shifts(patterns: PatternSet) -> FloatArray:
     """Return the phase shift of every phase frame, (axis, set, step), rad."""
     sets, periods = patterns.sets, len(patterns.periods_px)
     turns = 2.0 * np.pi * np.arange(patterns.steps) / max(patterns.steps, 1)
+    if patterns.stepping != "equal":
+        turns = 2.0 * np.pi * np.array(patterns.phase_shifts.shifts(patterns.steps))
     angles = np.broadcast_to(turns, (2, sets, patterns.steps)).copy()
     for number, shift_deg in enumerate(patterns.first_shifts_deg):
         if number % periods < sets:

@@ -71,7 +71,7 @@ def ripple_of(patterns: PatternSet, response: ProjectorResponse | None) -> Rippl
     response : response of the projector; None: a linear response
     """
     if response is None or not patterns.steps:
-        shot = _of_three_steps(patterns) if patterns.steps == 3 else _EMPTY
+        shot = _of_three_steps(patterns) if _is_three_steps(patterns) else _EMPTY
         return Ripple(_EMPTY, _EMPTY, shot, (0.0, 0.0))
     shape = 2, len(patterns.periods_px), NODES + 1
     error, sigma, shot = (np.zeros(shape, np.float32) for _ in range(3))
@@ -104,18 +104,26 @@ def turned(ripple: Ripple, share: float) -> Ripple:
     )
 
 
+def _is_three_steps(patterns: PatternSet) -> bool:
+    """Return True if the frames of a period are one or two sets of three equal steps."""
+    return patterns.steps == 3 or (patterns.steps == 6 and patterns.stepping == "quarter_pairs")
+
+
 def _of_three_steps(patterns: PatternSet) -> FloatImage:
     """Return `Ripple.shot_share` of three steps for a linear response: -cos(3 (phi + t_0)) / 2.
 
     This is (2 / N) sum cos(x_n) sin^2(x_n) with x_n = phi + t_n for N = 3 and the first shift t_0.
-    The sum is 0 for more steps.
+    The sum is 0 for more steps. Two sets of three steps have the mean of both.
     """
     shot: FloatImage = np.zeros((2, len(patterns.periods_px), NODES + 1), np.float32)
     turns = np.arange(NODES + 1) / NODES
     for axis in patterns.axes:
         for fringes in range(shot.shape[1]):
-            first = patterns.shifts(axis, fringes)[0]
-            shot[AXES.index(axis), fringes] = -0.5 * np.cos(3.0 * TURN * (turns + first))
+            share = [
+                -0.5 * np.cos(3.0 * TURN * (turns + first))
+                for first in patterns.shifts(axis, fringes)[: patterns.steps // 3]
+            ]
+            shot[AXES.index(axis), fringes] = np.mean(share, axis=0)
     return shot
 
 

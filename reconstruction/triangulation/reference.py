@@ -12,6 +12,7 @@ from reconstruction.decoding.reference import expect_at_pixels
 from reconstruction.errors import InputError
 from reconstruction.patterns import AXES, Axis
 from reconstruction.rig.calibration import Calibration
+from reconstruction.rig.plane_view import points_at_height, projector_px
 from reconstruction.triangulation import triangulate
 
 EPIPOLAR_SIGMA_PX = 1.0
@@ -53,27 +54,10 @@ def expect_by_rig(reference: PhaseReference | None, calibration: Calibration) ->
 def _on_plane(reference: PhaseReference, calibration: Calibration, axis: Axis) -> Expected:
     z_mm = reference.z_mm or 0.0
     middle, above = (
-        _seen_px(calibration, _at_height(calibration, height_mm))[..., AXES.index(axis)]
+        projector_px(calibration, points_at_height(calibration, height_mm))[..., AXES.index(axis)]
         for height_mm in (z_mm, z_mm + reference.sigma_mm)
     )
     return Expected(middle, np.abs(above - middle), reference.islands)
-
-
-def _at_height(calibration: Calibration, z_mm: float) -> FloatArray:
-    """Return the point of each camera ray on the plane z, (row, col, xyz) mm, world."""
-    camera, T = calibration.camera, calibration.T_world_from_cam
-    pixels = np.stack(np.meshgrid(np.arange(camera.width_px), np.arange(camera.height_px)), -1)
-    flat = camera.unproject(pixels.reshape(-1, 2).astype(np.float64))
-    rays = np.column_stack([flat, np.ones(len(flat))]) @ T[:3, :3].T
-    points = rays * ((z_mm - T[2, 3]) / rays[:, 2:]) + T[:3, 3]
-    return np.asarray(points.reshape(camera.height_px, camera.width_px, 3))
-
-
-def _seen_px(calibration: Calibration, points_mm: FloatArray) -> FloatArray:
-    """Return the projector pixels of world points, (row, col, column and row) px."""
-    T = np.linalg.inv(calibration.T_world_from_proj)
-    inside = points_mm.reshape(-1, 3) @ T[:3, :3].T + T[:3, 3]
-    return np.asarray(calibration.projector.project(inside).reshape(*points_mm.shape[:2], 2))
 
 
 def _on_epipolar_lines(
@@ -91,6 +75,6 @@ def _on_epipolar_lines(
     reason = np.where(is_known, Reason.VALID, Reason.ORDER_UNCERTAIN).astype(np.uint8)
     pair = (filled, empty) if source == "column" else (empty, filled)
     points = triangulate(Decoded(*pair, reason, (source,)), calibration, source)
-    seen_px = _seen_px(calibration, points.points_world_mm.astype(np.float64))
+    seen_px = projector_px(calibration, points.points_world_mm.astype(np.float64))
     expected_px = np.where(points.valid, seen_px[..., AXES.index(axis)], np.nan)
     return Expected(expected_px, np.full(blank.shape, EPIPOLAR_SIGMA_PX), "all")

@@ -13,6 +13,7 @@ from reconstruction.codes import CODES
 from reconstruction.decoding import PhaseReference
 from reconstruction.decoding.decode import DecodeOptions, decode
 from reconstruction.patterns import PatternSet
+from reconstruction.rig.projected_light import ProjectorResponse
 from reconstruction.rig.sensor import SensorNoise
 from twin.config import load_experiment
 from twin.config.models import Patterns
@@ -103,6 +104,35 @@ def test_projected_codes_are_decoded(projector, case):
         if axis in patterns.axes:
             error_px = (getattr(decoded, axis).coordinate_px - truth_px)[decoded.valid]
             assert np.max(np.abs(error_px)) < width_px
+
+
+@pytest.mark.parametrize(
+    "case",
+    [
+        {"stepping": "quarter_pairs", "steps": 8},
+        {"stepping": "cyclic", "steps": 6},
+        {"stepping": "single", "steps": 1},
+        {"waveform": "square", "steps": 4, "first_shifts_deg": (11.25, 11.25)},
+    ],
+    ids=lambda case: case.get("stepping", "square"),
+)
+def test_projected_steppings_are_decoded(projector, case):
+    """Expected: 0.05 px, also for square fringes if blur and response are stated."""
+    is_square = "waveform" in case
+    blurred = projector.model_copy(update={"blur_px": 2.0 if is_square else 0.4})
+    patterns = pattern_set(blurred, validated(Patterns, {"period_px": 16.0} | case))
+    column_px, row_px = np.linspace(1.2, 158.1, 400), np.linspace(1.3, 98.2, 240)
+    stack = frames_at(patterns, blurred, column_px, row_px)
+    response = ProjectorResponse(1.0, 0.0, 2.0, 0.0) if is_square else None
+    sensor = SensorNoise(0.01, 0.0, 0.0, 255.0)
+    options = DecodeOptions(filter_taps=0, max_order_error=0.5)
+    decoded = decode(stack, patterns, sensor, options, response=response)
+    inside = np.s_[60:-60, 60:-60]  # 1.5 fringes of a single frame
+    valid = decoded.valid[inside]
+    assert valid.mean() > 0.95
+    column_error = (decoded.column.coordinate_px - column_px[None, :])[inside][valid]
+    row_error = (decoded.row.coordinate_px - row_px[:, None])[inside][valid]
+    assert max(np.abs(column_error).max(), np.abs(row_error).max()) < 0.05
 
 
 def test_configuration_and_decoder_have_the_same_fields():

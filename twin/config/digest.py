@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from reconstruction.arrays import LATER
 from reconstruction.errors import InputError
 from reconstruction.reading import read_bytes
 from twin.assets import mesh_path
@@ -58,7 +59,10 @@ def _read(name: str) -> bytes | None:
 
 
 def content_digest(*parts: object) -> str:
-    """Return 16 hex digits computed from the content of arrays, dataclasses and other values."""
+    """Return 16 hex digits computed from the content of arrays, dataclasses and other values.
+
+    A field with the metadata `LATER` counts only if its value is not the default.
+    """
     held = hashlib.sha256()
     for part in parts:
         _feed(held.update, part)
@@ -71,7 +75,10 @@ def _feed(take: Callable[[Any], None], part: object) -> None:
         take(np.ascontiguousarray(part))  # without a copy: a capture has hundreds of MB
     elif is_dataclass(part) and not isinstance(part, type):
         for field in fields(part):
-            _feed(take, getattr(part, field.name))
+            value = getattr(part, field.name)
+            if LATER.keys() <= field.metadata.keys() and value == field.default:
+                continue
+            _feed(take, value)
     elif isinstance(part, tuple | list):
         for item in part:
             _feed(take, item)

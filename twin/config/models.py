@@ -115,6 +115,12 @@ class Decode(Model):
         description="estimate the light of every phase frame from the frames, and divide by it if "
         "it differs significantly; needs 4 steps or more",
     )
+    max_residual_sigmas: Annotated[float, Field(gt=0, le=1e6)] | None = Field(
+        default=None,
+        exclude_if=lambda sigmas: sigmas is None,
+        description="mask pixels whose phase frames deviate more from a fringe at rest, in sigmas"
+        " of the camera's noise (motion); needs 4 steps or more; absent: none",
+    )
     reference_pixels: tuple[tuple[float, ...], ...] = Field(
         default=(),
         exclude_if=lambda pixels: not pixels,

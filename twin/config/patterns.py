@@ -1,6 +1,6 @@
 """Table [patterns]: the projected sequence of fringes and code words."""
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationInfo, field_validator
 
@@ -9,10 +9,11 @@ from reconstruction.patterns import (
     LEAST_STRIPE_PX,
     MOST_FURTHER_PERIODS,
     PERIOD_RANGE_PX,
-    STEPS_RANGE,
     Axis,
     PatternSet,
+    Waveform,
 )
+from reconstruction.stepping import STEPPINGS, STEPS_RANGE
 from reconstruction.words import WORDS
 from twin.config.base import Model
 from twin.config.kinds import NameOf
@@ -35,6 +36,9 @@ class Patterns(Model):
     """Projected patterns: the fields of `PatternSet` that do not follow from the projector."""
 
     period_px: PeriodPx
+    stepping: Literal["equal", "quarter_pairs", "cyclic", "single"] = _of_set(
+        "stepping", "phase shifts of the steps; other than equal: for scenes in motion"
+    )
     steps: Annotated[int, Field(ge=0, le=STEPS_RANGE[1])] = Field(
         description="phase steps, 3 or more; 0: code words only, each period_px wide, code 'gray'"
     )
@@ -59,6 +63,9 @@ class Patterns(Model):
     )
     low_level: Level = _of_set("low_level", "8-bit projector level of black")
     high_level: Level = _of_set("high_level", "8-bit projector level of white")
+    waveform: Waveform = _of_set(
+        "waveform", "fringe: sinusoidal, or square (1 bit), which the projector's blur smooths"
+    )
 
     @classmethod
     def of(cls, shown: PatternSet) -> "Patterns":
@@ -68,8 +75,9 @@ class Patterns(Model):
     @field_validator("steps")
     @classmethod
     def _steps_fit_the_period(cls, steps: int, info: ValidationInfo) -> int:
-        if 0 < steps < STEPS_RANGE[0]:
-            raise ValueError(f"allowed >= {STEPS_RANGE[0]}, <= {STEPS_RANGE[1]}, or 0: words only")
+        least = STEPPINGS[info.data.get("stepping", PatternSet.stepping)].least
+        if 0 < steps < min(least, STEPS_RANGE[0]):
+            raise ValueError(f"allowed >= {least}, <= {STEPS_RANGE[1]}, or 0: words only")
         period_px = info.data.get("period_px", PERIOD_RANGE_PX[0])
         if steps and period_px < PERIOD_RANGE_PX[0]:
             raise ValueError(

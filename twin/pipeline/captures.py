@@ -92,6 +92,8 @@ LIKELY_CAUSES = {
     " the fringes and the axes of the frames, and that the calibration is that of this rig",
     Reason.NO_POINT: "the rays do not meet in front of both devices: check that the calibration is"
     " that of this rig, sign and shift_deg",
+    Reason.MOTION: "the phase frames are not those of a fringe at rest: check the order of the"
+    " frames and the noise in [sensor], or raise decode.max_residual_sigmas",
 }
 
 
@@ -130,6 +132,7 @@ def options_of(decode: Decode) -> ReconstructOptions:
             filter_sigma_px=decode.filter_sigma_px,
             weights=decode.weights,
             frame_gains=decode.frame_gains,
+            max_residual_sigmas=decode.max_residual_sigmas,
             reference=_reference_of(decode),
         ),
         use=decode.use,

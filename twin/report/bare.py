@@ -46,6 +46,7 @@ REASON_WORDS = {
     Reason.EDGE: "at the edge of the light",
     Reason.EPIPOLAR_MISMATCH: "column and row contradict each other",
     Reason.NO_POINT: "rays do not meet",
+    Reason.MOTION: "moved during the sequence",
 }
 
 

@@ -177,6 +177,8 @@ def _patterns(measured: Measurement) -> str:
     along = "in both directions" if both else f"along the projector's {patterns.axes[0]}s"
     first = f"{patterns.steps} phase steps of" if patterns.steps else "no fringes, words of"
     shown = [f"{first} {patterns.period_px:g} px {along}", code]
+    shown += [f"stepping {patterns.stepping}"] * (patterns.stepping != "equal")
+    shown += [f"{patterns.waveform} fringes"] * (patterns.waveform != "sinusoidal")
     shown += ["inverse frames"] * patterns.inverse + ["white", "black"] * patterns.uniform
     return f"{', '.join(shown)}: {in_words(measured.figures.get('frames'))} frames"
 

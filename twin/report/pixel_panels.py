@@ -44,6 +44,7 @@ REASON_COLOURS = {
     Reason.EDGE: "#5fa8d3",
     Reason.EPIPOLAR_MISMATCH: "#e36bae",
     Reason.NO_POINT: "#8a5a00",
+    Reason.MOTION: "#1b9e77",
 }
 _SHOWN_PX = 480
 _SIDE_IN, _WIDTH_IN, _BAR_IN = 0.02, 3.0, 0.95

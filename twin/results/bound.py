@@ -27,6 +27,7 @@ from reconstruction.codes import code_of
 from reconstruction.errors import FitError
 from reconstruction.evaluate.estimates import FittedDimension, ball_radius_of_all
 from reconstruction.patterns import AXES
+from reconstruction.stepping import STEPPINGS
 from twin.config.measurands import MEASURANDS, ObjectMeasurand
 from twin.config.models import Experiment
 from twin.mechanics import PressedElastomer
@@ -49,15 +50,17 @@ def has_bound(experiment: Experiment) -> bool:
 
     This requires fringes on a pressed coat and only direct light: the trace does not contain light
     that is reflected between surfaces or passes through clear bodies. The engine of the renderer
-    must be "one_trace". White, black and the fringes of both axes must be projected, with a code
-    that has a closed form of the noise. Micro phase shifting has none, because the information of
-    its images depends on the position in the fringe.
+    must be "one_trace". White, black and the sinusoidal fringes of both axes must be projected,
+    with a code and a stepping that have a closed form of the noise. Micro phase shifting has none,
+    because the information of its images depends on the position in the fringe.
     """
     method = experiment.method
     direct = experiment.bounces == 0 and experiment.render.engine == "one_trace"
     patterns = experiment.patterns
     whole = patterns.steps > 0 and patterns.uniform and set(patterns.axes) == set(AXES)
     closed = whole and code_of(patterns.code).has_closed_form
+    closed = closed and not STEPPINGS[patterns.stepping].is_reduced
+    closed = closed and patterns.waveform == "sinusoidal"
     return method.fringes and method.presses and direct and closed
 
 
