@@ -11,8 +11,10 @@ from reconstruction.markers.detection import (
     find_pattern,
     linear_light,
 )
+from reconstruction.markers.field import MotionField
 from reconstruction.markers.fitting import FittedDots
-from reconstruction.markers.tracking import DotStatus, DotTracks, MeanMotion, mean_motion, track
+from reconstruction.markers.motion import MeanMotion, mean_motion
+from reconstruction.markers.tracking import DotStatus, DotTracks, track
 
 __all__ = [
     "DotPattern",
@@ -20,6 +22,7 @@ __all__ = [
     "DotTracks",
     "FittedDots",
     "MeanMotion",
+    "MotionField",
     "covered_pixels",
     "find_alike",
     "find_pattern",

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import ndimage
 from scipy.spatial import KDTree
 
@@ -32,8 +33,8 @@ _LEAST_RESPONSE = 0.45
 _LEAST_OVER_NOISE = 8.0
 _SIGMA_PER_MAD = 1.4826
 FEWEST_DOTS = 6
-# A pixel is in a dot if its light is lower than around it by this share of the dots' contrast; a dark
-# area is a dot if it has such shares of a dot's area; width of the rim, px.
+# A pixel is in a dot if its light is lower than around it by this share of the dots' contrast; a
+# dark area is a dot if it has such shares of a dot's area; width of the rim, px.
 _HALF_DARK, _AREAS, _RIM_PX = 0.4, (0.1, 2.5), 2.0
 # The logarithm starts at this share of the brightest light: darker pixels are noise.
 _DARKEST = 0.01
@@ -68,7 +69,7 @@ class _Blobs:
         return _Blobs(self.places_px[keep], self.scale_px[keep], self.response[keep])
 
 
-def linear_light(levels: FloatArray, gamma: float) -> FloatArray:
+def linear_light(levels: ArrayLike, gamma: float) -> FloatArray:
     """Return the mean light of the colour channels, (row, col), 0 to 1.
 
     Parameters
@@ -76,7 +77,7 @@ def linear_light(levels: FloatArray, gamma: float) -> FloatArray:
     levels : (row, col, 3), 8-bit levels, proportional to light ** (1 / gamma)
     """
     light: FloatArray = (np.asarray(levels, np.float64) / 255.0) ** gamma
-    return light.mean(axis=-1)
+    return np.asarray(light.mean(axis=-1))
 
 
 def find_pattern(light: FloatArray) -> DotPattern:
@@ -197,7 +198,7 @@ def _alike(dots: FittedDots) -> BoolImage:
 
 def _of_size(dots: FittedDots, radius_px: float, contrast: float) -> BoolImage:
     same_size = np.abs(np.log(dots.radius_px / radius_px)) < np.log(_WITHIN)
-    return same_size & (dots.contrast > contrast / 2.0)
+    return np.asarray(same_size & (dots.contrast > contrast / 2.0))
 
 
 def _separate(dots: FittedDots, radius_px: float) -> BoolImage:

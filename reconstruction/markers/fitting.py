@@ -5,8 +5,8 @@ edge (the integral of a Gaussian). The plane is the illumination, so that uneven
 displace the centre. The fit is by least squares; the covariance of the centre is
 s^2 (J^T J)^-1, the Cramer-Rao bound for white noise, with the variance s^2 of the residuals. Errors
 of neighbouring pixels are correlated, by demosaicing or because the model is not exact. The
-covariance is therefore multiplied by the sum of the residuals' autocorrelation, one factor for
-all dots of an image.
+covariance is therefore multiplied by the sum of the residuals' autocorrelation (median over the
+dots of an image).
 """
 
 from dataclasses import dataclass
@@ -125,7 +125,9 @@ def _fitted(light: FloatArray, place_px: FloatArray, radius_px: float, half: int
 def _start(window: FloatArray, radius_px: float) -> FloatArray:
     start = np.zeros(_PARAMETERS)
     start[2], start[7] = np.log(radius_px), 1.0
-    start[6] = float(np.clip(1.0 - np.percentile(window, 5.0) / np.percentile(window, 80.0), 0.1, 0.9))
+    start[6] = float(
+        np.clip(1.0 - np.percentile(window, 5.0) / np.percentile(window, 80.0), 0.1, 0.9)
+    )
     return start
 
 
@@ -208,10 +210,13 @@ class _Dot:
 
 
 def _correlation_sum(residuals: list[FloatArray]) -> float:
-    """Return the sum of the autocorrelation of residuals over lags up to 3 px, at least 1."""
+    """Return the sum of the residuals' autocorrelation over lags up to 3 px, at least 1.
+
+    It is the median over the dots: at the edge of a contact the light is far from a plane.
+    """
     stack = np.stack(residuals)
+    side = 2 * _LAG + 1
     padded = np.pad(stack, ((0, 0), (_LAG, _LAG), (_LAG, _LAG)))
-    # The sum over all lags of the products is that with a running sum over the lags.
-    around = ndimage.uniform_filter(padded, 2 * _LAG + 1, mode="constant", axes=(1, 2))
-    total = (2 * _LAG + 1) ** 2 * float(np.sum(around * padded))
-    return max(total / float(np.sum(stack**2)), 1.0)
+    around = side**2 * ndimage.uniform_filter(padded, side, mode="constant", axes=(1, 2))
+    sums = np.sum(around * padded, axis=(1, 2)) / np.sum(stack**2, axis=(1, 2))
+    return max(float(np.median(sums)), 1.0)

@@ -11,7 +11,7 @@ from enum import IntEnum
 import numpy as np
 
 from reconstruction.arrays import BoolArray, FloatArray, ReasonImage
-from reconstruction.errors import FitError, InputError
+from reconstruction.errors import InputError
 from reconstruction.markers.detection import DotPattern, find_alike, find_pattern
 from reconstruction.markers.fitting import FittedDots
 from reconstruction.markers.matching import UNASSIGNED, assign, deviation_from_neighbours
@@ -19,8 +19,6 @@ from reconstruction.markers.matching import UNASSIGNED, assign, deviation_from_n
 # Largest deviation of a displacement from its neighbours' ones, in spacings: an elastomer in one
 # piece is smoother, even at the edge of a contact.
 _LARGEST_DEVIATION = 0.2
-# Dots that the affine function of all displacements needs.
-_FEWEST = 4
 
 
 class DotStatus(IntEnum):
@@ -63,29 +61,6 @@ class DotTracks:
         return np.asarray(self.status == DotStatus.TRACKED)
 
 
-@dataclass(frozen=True)
-class MeanMotion:
-    """Affine function of the position, fitted to displacements, with standard uncertainties.
-
-    The uncertainties follow from the deviations of the dots from the function.
-
-    Attributes
-    ----------
-    row_px, col_px, row_sigma_px, col_sigma_px : displacement in the middle of the dots
-    divergence, divergence_sigma : d(row)/d(row) + d(col)/d(col); positive if the dots move apart
-    rotation_rad, rotation_sigma_rad : mean rotation, counter-clockwise as displayed
-    """
-
-    row_px: float
-    col_px: float
-    row_sigma_px: float
-    col_sigma_px: float
-    divergence: float
-    divergence_sigma: float
-    rotation_rad: float
-    rotation_sigma_rad: float
-
-
 def track(before: FloatArray | DotPattern, after: FloatArray) -> DotTracks:
     """Return the displacements of the printed dots between two linear images of one camera.
 
@@ -115,37 +90,3 @@ def track(before: FloatArray | DotPattern, after: FloatArray) -> DotTracks:
     off_px = deviation_from_neighbours(dots.centres_px, moved, found, pattern.spacing_px)
     status[found & (off_px > _LARGEST_DEVIATION * pattern.spacing_px)] = DotStatus.DOUBTFUL
     return DotTracks(pattern, pressed, moved, sigma, status)
-
-
-def mean_motion(tracks: DotTracks) -> MeanMotion:
-    """Return the affine function of the tracked dots' displacements.
-
-    Raises
-    ------
-    FitError : fewer than four dots are tracked, or they are on one line
-    """
-    places, moved = tracks.places_px[tracks.tracked], tracks.moved_px[tracks.tracked]
-    if len(places) < _FEWEST:
-        raise FitError(f"found {len(places)} tracked dots, needed at least {_FEWEST} for the motion")
-    local = places - places.mean(axis=0)
-    basis = np.column_stack([np.ones(len(local)), local])
-    fit, _, rank, _ = np.linalg.lstsq(basis, moved)
-    if rank < basis.shape[1]:
-        raise FitError("the tracked dots are on one line; the motion needs dots on an area")
-    scatter = np.sum((moved - basis @ fit) ** 2, axis=0) / (len(places) - basis.shape[1])
-    share = np.linalg.inv(basis.T @ basis)
-    # share: covariance of (value, d/d(row), d/d(col)) over the variance of one dot.
-    at, down, right = np.diag(share)
-    apart = np.sqrt(scatter[0] * down + scatter[1] * right)
-    turned = 0.5 * np.sqrt(scatter[1] * down + scatter[0] * right)
-    return MeanMotion(
-        row_px=float(fit[0, 0]),
-        col_px=float(fit[0, 1]),
-        row_sigma_px=float(np.sqrt(scatter[0] * at)),
-        col_sigma_px=float(np.sqrt(scatter[1] * at)),
-        divergence=float(fit[1, 0] + fit[2, 1]),
-        divergence_sigma=float(apart),
-        # Rows increase downwards: counter-clockwise as displayed is clockwise in (row, col).
-        rotation_rad=float(0.5 * (fit[1, 1] - fit[2, 0])),
-        rotation_sigma_rad=float(turned),
-    )
