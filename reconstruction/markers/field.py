@@ -18,8 +18,8 @@ from reconstruction.errors import FitError
 _FEWEST = 6
 # Lengths that are tried, in spacings of the dots; deviations, relative to that of the
 # displacements from the affine function.
-_LENGTHS = 1.0 * 1.25 ** np.arange(11)
-_DEVIATIONS = 0.5 * 2.0 ** np.arange(5)
+_LENGTHS = 1.0 * 1.5 ** np.arange(6)
+_DEVIATIONS = 0.6 * 2.0 ** np.arange(4)
 _LEAST_MM = 1e-5
 
 

@@ -75,6 +75,5 @@ def draw_dots(path: Path, image: Levels, motion: GelMotion) -> None:
                 linewidth=0.5, angles="xy", scale_units="xy", scale=1.0, width=0.005)  # fmt: skip
     axes.set(title=f"displacement of the dots; longest arrow {1e3 * longest_mm:.3g} µm",
              xlabel="column (px)", ylabel="row (px)")  # fmt: skip
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=3, facecolor="#808080",
-                labelcolor="white")  # fmt: skip
+    drawing.legend(loc="outside lower center", ncols=3, facecolor="#808080", labelcolor="white")
     write_bytes(path, drawing.png())

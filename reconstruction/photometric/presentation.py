@@ -1,17 +1,19 @@
 """Present height maps and printed dots as labelled arrays, and heights as pictures in mm."""
 
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from reconstruction.arrays import BoolArray, FloatArray, FloatImage, PhotometricReason
+from reconstruction.errors import FitError
 from reconstruction.markers import DotStatus
 from reconstruction.netcdf import PIXELS, Labelled, LabelledArrays, pixel_coordinates
 
 if TYPE_CHECKING:
     from reconstruction.cells import CellMeans
     from reconstruction.drawing import Drawing
-    from reconstruction.photometric.printed_dots import GelMotion
+    from reconstruction.photometric.printed_dots import GelMotion, SampledField
     from reconstruction.photometric.sensor import HeightMap
 
 SLOPES = ("slope_row", "slope_col")
@@ -70,8 +72,27 @@ def dot_arrays(motion: "GelMotion") -> LabelledArrays:
     coords: dict[str, Labelled] = {
         "dot": ("dot", np.arange(len(tracks.status)), {"long_name": "number of the dot"})
     }
+    with suppress(FitError):  # too few dots for a field
+        of_field, places = _field_arrays(motion.field())
+        variables, coords = variables | of_field, coords | places
     frame = "row 0 at the top; x right, y up, from the middle of the image"
     return LabelledArrays(variables, coords, {"frame": frame})
+
+
+def _field_arrays(field: "SampledField") -> tuple[dict[str, Labelled], dict[str, Labelled]]:
+    """Return the smooth field by name, and the coordinates of its grid."""
+    dims = ("field_row", "field_col")
+    variables: dict[str, Labelled] = {}
+    for k, axis in enumerate("xy"):
+        moved = {"units": "mm", "long_name": f"smooth field of the displacement along {axis}"}
+        sigma = {"units": "mm", "long_name": f"standard uncertainty of field_{axis}_mm"}
+        variables[f"field_{axis}_mm"] = (dims, field.moved_mm[..., k], moved)
+        variables[f"field_sigma_{axis}_mm"] = (dims, field.sigma_mm[..., k], sigma)
+    coords: dict[str, Labelled] = {
+        name: (name, at, {"units": "px"})
+        for name, at in zip(dims, (field.rows, field.cols), strict=True)
+    }
+    return variables, coords
 
 
 def height_drawing(height_map: "HeightMap") -> "Drawing":

@@ -110,8 +110,8 @@ class PressDescription:
 
     The file has exactly one of the keys `image` (a file name) and `images` (a list of names), and
     exactly one of `calibration` (a file name) and `calibrate` (a table). After construction
-    `images` also contains the single name of `image`. With the table `dots`, printed dots of the gel
-    are masked and tracked.
+    `images` also contains the single name of `image`. With the table `dots`, the printed dots are
+    masked and tracked.
     """
 
     image: str = ""

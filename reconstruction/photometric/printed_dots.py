@@ -10,17 +10,21 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-from reconstruction.arrays import BoolImage, FloatArray, FloatImage, Levels
+from reconstruction.arrays import BoolImage, FloatArray, FloatImage, IntArray, Levels
 from reconstruction.errors import require_number
 from reconstruction.markers import (
     DotPattern,
     DotTracks,
+    MotionField,
     covered_pixels,
     find_pattern,
     linear_light,
     track,
 )
 from reconstruction.photometric.sensor import HeightMap
+
+# Distance of neighbouring samples of the smooth field, px.
+_EVERY = 4
 
 
 @dataclass(frozen=True)
@@ -102,6 +106,7 @@ class GelMotion:
     moved_mm : (dot, xy) displacements; 0 for a dot that is LOST
     sigma_mm : (dot, xy) standard uncertainties from the images, without that of the height
     pitch_mm : distance of neighbouring pixels on the gel
+    shape : rows and columns of the images
     """
 
     tracks: DotTracks
@@ -109,6 +114,40 @@ class GelMotion:
     moved_mm: FloatArray
     sigma_mm: FloatArray
     pitch_mm: float
+    shape: tuple[int, int]
+
+    def field(self) -> "SampledField":
+        """Return the smooth field of the tracked dots at every fourth row and column.
+
+        Raises
+        ------
+        FitError : fewer than six dots are tracked
+        """
+        tracked = self.tracks.tracked
+        smooth = MotionField.of(
+            self.places_mm[tracked], self.moved_mm[tracked], self.sigma_mm[tracked]
+        )
+        rows, cols = (np.arange(_EVERY // 2, size, _EVERY) for size in self.shape)
+        places = np.stack(np.meshgrid(rows, cols, indexing="ij"), axis=-1).reshape(-1, 2)
+        on_gel = _on_gel_mm(places.astype(np.float64), self.shape, self.pitch_mm)
+        moved, sigma = (of.reshape(rows.size, cols.size, 2) for of in smooth.at(on_gel))
+        return SampledField(rows, cols, moved, sigma)
+
+
+@dataclass(frozen=True, eq=False)
+class SampledField:
+    """Displacement field on a grid of pixels, with standard uncertainties.
+
+    Attributes
+    ----------
+    rows, cols : image rows and columns of the grid
+    moved_mm, sigma_mm : (row, col, xy) displacement and its standard uncertainty
+    """
+
+    rows: IntArray
+    cols: IntArray
+    moved_mm: FloatArray
+    sigma_mm: FloatArray
 
 
 def gel_motion(tracks: DotTracks, height_map: HeightMap, view_distance_mm: float) -> GelMotion:
@@ -125,12 +164,13 @@ def gel_motion(tracks: DotTracks, height_map: HeightMap, view_distance_mm: float
         height = height_map.height_mm.astype(np.float64)
         nearer = ndimage.map_coordinates(height, after.T, order=1, mode="nearest")
         nearer /= view_distance_mm
-    shape = height_map.height_mm.shape
+    rows, cols = height_map.height_mm.shape
+    shape = rows, cols
     places_mm = _on_gel_mm(before, shape, pitch_mm)
     moved = _on_gel_mm(after, shape, pitch_mm) * (1.0 - nearer[:, None]) - places_mm
     moved[tracks.sigma_px[:, 0] == 0.0] = 0.0
     sigma_mm = pitch_mm * tracks.sigma_px[:, ::-1]
-    return GelMotion(tracks, places_mm, moved, np.ascontiguousarray(sigma_mm), pitch_mm)
+    return GelMotion(tracks, places_mm, moved, np.ascontiguousarray(sigma_mm), pitch_mm, shape)
 
 
 def _on_gel_mm(places_px: FloatArray, shape: tuple[int, ...], pitch_mm: float) -> FloatArray:
