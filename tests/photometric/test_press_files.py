@@ -211,7 +211,7 @@ def test_a_folder_of_presses(folder, tmp_path, ball_presses, presses):
 
 
 @pytest.mark.parametrize("name", ["cut.png", "cut.jpg", "small.png", "grey.png", "gone.png"])
-def test_one_bad_image_costs_that_image(folder, tmp_path, ball_presses, capfd, name):
+def test_one_bad_image_costs_that_image(folder, tmp_path, ball_presses, calibrations, capfd, name):
     """Truncated, of another size, without colours, missing: named with the reason, in the result
     and on the page; the other press is measured. The library prints nothing by itself.
     """
@@ -222,8 +222,9 @@ def test_one_bad_image_costs_that_image(folder, tmp_path, ball_presses, capfd, n
     elif name != "gone.png":
         imageio.imwrite(place, image[::2, ::2] if name == "small.png" else image[..., 0])
     path = folder / "one_bad.toml"
-    lines = f'images = ["coin.png", "{name}"]\n'
-    path.write_text(description(ball_presses, image=lines), encoding="utf-8")
+    write_sensor_calibration(folder / "mini.npz", calibrations["polynomial"])
+    lines = f'images = ["coin.png", "{name}"]\ncalibration = "mini.npz"\n'
+    path.write_text(HEADER + lines, encoding="utf-8")
     outcome = reconstruct_presses(
         path, tmp_path / "out", draw=partial(write_presses_page, name="one_bad")
     )
