@@ -23,7 +23,11 @@ from reconstruction.photometric.press_description import (
     PressDescription,
     read_press_description,
 )
-from reconstruction.photometric.press_doubts import doubts_of_background, doubts_of_image
+from reconstruction.photometric.press_doubts import (
+    doubts_of_background,
+    doubts_of_image,
+    untouched_drift_mm,
+)
 from reconstruction.photometric.printed_dots import GelMotion, SensorDots
 from reconstruction.photometric.sensor import (
     HeightMap,
@@ -99,7 +103,10 @@ class DescribedPresses:
         except InputError as error:
             raise CaptureError(f"{file}: {error}") from error
         doubts = self.doubts + doubts_of_image(height_map, untouched)
-        motion = None if self.dots is None else self.dots.tracked(image, height_map)
+        motion = None
+        if self.dots is not None:
+            drift_mm = untouched_drift_mm(height_map, untouched.where) or 0.0
+            motion = self.dots.tracked(image, height_map, drift_mm)
         calibration = self.decoder.calibration
         return PhotometricResult(image, calibration, height_map, untouched, doubts, motion)
 

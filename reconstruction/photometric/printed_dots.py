@@ -89,10 +89,17 @@ class SensorDots:
         light = linear_light(image, self.options.gamma)
         return self.background | covered_pixels(light, self.pattern, self.margin_px)
 
-    def tracked(self, image: Levels, height_map: HeightMap) -> "GelMotion":
-        """Return the displacements of the dots in the image of a press (row, col, 3)."""
+    def tracked(
+        self, image: Levels, height_map: HeightMap, height_sigma_mm: float = 0.0
+    ) -> "GelMotion":
+        """Return the displacements of the dots in the image of a press (row, col, 3).
+
+        Parameters
+        ----------
+        height_sigma_mm : standard uncertainty of the heights
+        """
         tracks = track(self.pattern, linear_light(image, self.options.gamma))
-        return gel_motion(tracks, height_map, self.options.view_distance_mm)
+        return gel_motion(tracks, height_map, self.options.view_distance_mm, height_sigma_mm)
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +111,7 @@ class GelMotion:
     tracks : displacements in the image, with the status of each dot
     places_mm : (dot, xy) places without contact; x right, y up, from the middle of the image
     moved_mm : (dot, xy) displacements; 0 for a dot that is LOST
-    sigma_mm : (dot, xy) standard uncertainties from the images, without that of the height
+    sigma_mm : (dot, xy) standard uncertainties, from those of the centres and of the height
     pitch_mm : distance of neighbouring pixels on the gel
     shape : rows and columns of the images
     """
@@ -150,17 +157,25 @@ class SampledField:
     sigma_mm: FloatArray
 
 
-def gel_motion(tracks: DotTracks, height_map: HeightMap, view_distance_mm: float) -> GelMotion:
+def gel_motion(
+    tracks: DotTracks,
+    height_map: HeightMap,
+    view_distance_mm: float,
+    height_sigma_mm: float = 0.0,
+) -> GelMotion:
     """Return the displacements in mm on the gel.
 
     Parameters
     ----------
     view_distance_mm : see `DotOptions`
+    height_sigma_mm : standard uncertainty of the heights; it has no effect on the displacements
+        that appear in the image, without `view_distance_mm`
     """
     pitch_mm = height_map.pitch_mm
     before, after = tracks.places_px, tracks.places_px + tracks.moved_px
-    nearer = np.zeros(len(before))
+    nearer, nearer_sigma = np.zeros(len(before)), 0.0
     if view_distance_mm:
+        nearer_sigma = height_sigma_mm / view_distance_mm
         height = height_map.height_mm.astype(np.float64)
         nearer = ndimage.map_coordinates(height, after.T, order=1, mode="nearest")
         nearer /= view_distance_mm
@@ -168,9 +183,10 @@ def gel_motion(tracks: DotTracks, height_map: HeightMap, view_distance_mm: float
     shape = rows, cols
     places_mm = _on_gel_mm(before, shape, pitch_mm)
     moved = _on_gel_mm(after, shape, pitch_mm) * (1.0 - nearer[:, None]) - places_mm
-    moved[tracks.sigma_px[:, 0] == 0.0] = 0.0
-    sigma_mm = pitch_mm * tracks.sigma_px[:, ::-1]
-    return GelMotion(tracks, places_mm, moved, np.ascontiguousarray(sigma_mm), pitch_mm, shape)
+    sigma_mm = np.hypot(pitch_mm * tracks.sigma_px[:, ::-1], nearer_sigma * places_mm)
+    lost = tracks.sigma_px[:, 0] == 0.0
+    moved[lost] = sigma_mm[lost] = 0.0
+    return GelMotion(tracks, places_mm, moved, sigma_mm, pitch_mm, shape)
 
 
 def _on_gel_mm(places_px: FloatArray, shape: tuple[int, ...], pitch_mm: float) -> FloatArray:

@@ -141,3 +141,8 @@ def test_the_height_of_a_dot_moves_it_in_the_image():
     moved = gel_motion(tracks, flat, 41.0).moved_mm
     np.testing.assert_allclose(moved, 0.0, atol=1e-9)
     np.testing.assert_allclose(gel_motion(tracks, flat, 0.0).moved_mm[0], [0.25, 0.0], atol=1e-9)
+    # Height 0.05 mm uncertain: 10 mm * 0.05 / 41; across, only the centre's 0.02 px.
+    sigma_mm = gel_motion(tracks, flat, 41.0, 0.05).sigma_mm[0]
+    centre_mm = 0.02 / 6.0
+    expected = [np.hypot(centre_mm, 10.0 * 0.05 / 41.0), centre_mm]
+    np.testing.assert_allclose(sigma_mm, expected, rtol=1e-6)
