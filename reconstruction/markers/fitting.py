@@ -64,7 +64,7 @@ class FittedDots:
 
 
 @dataclass(frozen=True, eq=False)
-class _Fit:
+class _DotFit:
     """Fit of one dot: parameters, covariance for white noise, and residuals in their window."""
 
     parameters: FloatArray
@@ -101,7 +101,7 @@ def fit_dots(
     )
 
 
-def _fitted(light: FloatArray, place_px: FloatArray, radius_px: float, half: int) -> _Fit | None:
+def _fitted(light: FloatArray, place_px: FloatArray, radius_px: float, half: int) -> _DotFit | None:
     """Return the fit of the dot at a place; None if there is none, or the border cuts it."""
     middle = np.round(place_px).astype(int)
     whole = int(np.ceil(radius_px)) + _RIM_PX
@@ -139,7 +139,7 @@ def _start(window: FloatArray, radius_px: float) -> FloatArray:
 
 def _checked(
     p: FloatArray, jacobian: FloatArray, residuals: FloatArray, start: FloatArray, place: FloatArray
-) -> _Fit | None:
+) -> _DotFit | None:
     """Return the fit, or None if its dot is not an ellipse of about the expected size and place."""
     sized = abs(p[2] - start[2]) < np.log(2.0) and 0.0 < p[6] < _MOST_CONTRAST
     near = np.hypot(p[0], p[1]) < _FARTHEST * np.exp(start[2])
@@ -151,7 +151,7 @@ def _checked(
         return None
     variance = float(np.sum(residuals**2)) / (len(jacobian) - _PARAMETERS)
     centred = np.concatenate([p[:2] + place, p[2:]])
-    return _Fit(centred, variance * np.diag(np.linalg.inv(normal))[:2], residuals)
+    return _DotFit(centred, variance * np.diag(np.linalg.inv(normal))[:2], residuals)
 
 
 def _stretch(one: float, other: float) -> FloatArray:

@@ -13,7 +13,7 @@ from reconstruction.netcdf import PIXELS, Labelled, LabelledArrays, pixel_coordi
 if TYPE_CHECKING:
     from reconstruction.cells import CellMeans
     from reconstruction.drawing import Drawing
-    from reconstruction.photometric.printed_dots import GelMotion, SampledField
+    from reconstruction.photometric.printed_dots import GelMotion, GelMotionField
     from reconstruction.photometric.sensor import HeightMap
 
 SLOPES = ("slope_row", "slope_col")
@@ -79,7 +79,7 @@ def dot_arrays(motion: "GelMotion") -> LabelledArrays:
     return LabelledArrays(variables, coords, {"frame": frame})
 
 
-def _field_arrays(field: "SampledField") -> tuple[dict[str, Labelled], dict[str, Labelled]]:
+def _field_arrays(field: "GelMotionField") -> tuple[dict[str, Labelled], dict[str, Labelled]]:
     """Return the smooth field by name, and the coordinates of its grid."""
     dims = ("field_row", "field_col")
     variables: dict[str, Labelled] = {}

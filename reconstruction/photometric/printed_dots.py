@@ -123,7 +123,7 @@ class GelMotion:
     pitch_mm: float
     shape: tuple[int, int]
 
-    def field(self) -> "SampledField":
+    def field(self) -> "GelMotionField":
         """Return the smooth field of the tracked dots at every fourth row and column.
 
         Raises
@@ -138,11 +138,11 @@ class GelMotion:
         places = np.stack(np.meshgrid(rows, cols, indexing="ij"), axis=-1).reshape(-1, 2)
         on_gel = _on_gel_mm(places.astype(np.float64), self.shape, self.pitch_mm)
         moved, sigma = (of.reshape(rows.size, cols.size, 2) for of in smooth.at(on_gel))
-        return SampledField(rows, cols, moved, sigma)
+        return GelMotionField(rows, cols, moved, sigma)
 
 
 @dataclass(frozen=True, eq=False)
-class SampledField:
+class GelMotionField:
     """Displacement field on a grid of pixels, with standard uncertainties.
 
     Attributes
