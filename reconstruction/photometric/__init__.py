@@ -15,9 +15,11 @@ from reconstruction.photometric.press_files import (
     described_presses,
     read_height_map,
     reconstruct_photometric,
+    write_dots,
     write_height_map,
     write_height_points,
 )
+from reconstruction.photometric.printed_dots import DotOptions, GelMotion, SensorDots, gel_motion
 from reconstruction.photometric.sensor import (
     HeightMap,
     PhotometricDecoder,
@@ -31,6 +33,8 @@ from reconstruction.photometric.sensor import (
 __all__ = [
     "BallPress",
     "DescribedPresses",
+    "DotOptions",
+    "GelMotion",
     "HeightMap",
     "PhotometricDecoder",
     "PhotometricOptions",
@@ -38,14 +42,17 @@ __all__ = [
     "PhotometricResult",
     "SampleOptions",
     "SensorCalibration",
+    "SensorDots",
     "calibrate_sensor",
     "corrected",
     "described_presses",
+    "gel_motion",
     "integrate",
     "read_height_map",
     "read_sensor_calibration",
     "reconstruct_photometric",
     "sdk_faithful",
+    "write_dots",
     "write_height_map",
     "write_height_points",
     "write_sensor_calibration",

@@ -154,10 +154,18 @@ def _circle_through(points: FloatArray) -> ContactCircle:
 
 @dataclass(frozen=True, eq=False)
 class BallPress:
-    """Calibration image, (row, col, 3) uint8 RGB, of one ball of known diameter in the gel."""
+    """Calibration image of one ball of known diameter in the gel.
+
+    Parameters
+    ----------
+    image : (row, col, 3) uint8, red first
+    dots : (row, col) bool, pixels of printed dots that are excluded in addition to those with a low
+        level (see `SampleOptions.marker_level`); None: no others
+    """
 
     image: Levels
     ball_diameter_mm: float
+    dots: BoolImage | None = None
 
     def __post_init__(self) -> None:
         checked_image(self.image, "calibration image")
@@ -240,6 +248,8 @@ def sample_presses(
         image = checked_image(press.image, f"calibration image {number}", background.shape)
         levels = smoothed(image, how.smoothing_px)
         dots = find_markers(image.astype(np.float32), how.marker_level, GROWTH_PX, small=True)
+        if press.dots is not None:
+            dots |= press.dots
         try:
             circle = find_contact_circle(levels, flat, how.threshold_levels)
             _require_fit(circle.radius_px * pitch_mm, press.ball_diameter_mm / 2.0)

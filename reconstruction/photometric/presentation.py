@@ -1,15 +1,19 @@
-"""Present a height map as labelled arrays, and as pictures over x and y in mm."""
+"""Present height maps and printed dots as labelled arrays, and heights as pictures in mm."""
 
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from reconstruction.arrays import BoolArray, FloatArray, FloatImage, PhotometricReason
+from reconstruction.errors import FitError
+from reconstruction.markers import DotStatus
 from reconstruction.netcdf import PIXELS, Labelled, LabelledArrays, pixel_coordinates
 
 if TYPE_CHECKING:
     from reconstruction.cells import CellMeans
     from reconstruction.drawing import Drawing
+    from reconstruction.photometric.printed_dots import GelMotion, GelMotionField
     from reconstruction.photometric.sensor import HeightMap
 
 SLOPES = ("slope_row", "slope_col")
@@ -38,6 +42,57 @@ def height_arrays(height_map: "HeightMap") -> LabelledArrays:
         coords=pixel_coordinates(*height_map.height_mm.shape),
         attrs={"frame": frame, "pitch_mm": height_map.pitch_mm},
     )
+
+
+def dot_arrays(motion: "GelMotion") -> LabelledArrays:
+    """Return place, displacement, standard uncertainty and status of each printed dot."""
+    tracks = motion.tracks
+    pixels = {"place": tracks.places_px, "moved": tracks.moved_px, "sigma": tracks.sigma_px}
+    lengths = {"place": motion.places_mm, "moved": motion.moved_mm, "sigma": motion.sigma_mm}
+    meaning = {
+        "place": "centre of the dot without contact",
+        "moved": "displacement of the dot by the press; 0 for a dot that is LOST",
+        "sigma": "standard uncertainty of the displacement; 0 for a dot that is LOST",
+    }
+    variables: dict[str, Labelled] = {}
+    for name, long_name in meaning.items():
+        for k, axis in enumerate(("row", "col")):
+            attrs = {"units": "px", "long_name": f"{long_name}, along the image's {axis}s"}
+            variables[f"{name}_{axis}_px"] = ("dot", pixels[name][:, k], attrs)
+        for k, axis in enumerate("xy"):
+            attrs = {"units": "mm", "long_name": f"{long_name}, along {axis}"}
+            variables[f"{name}_{axis}_mm"] = ("dot", lengths[name][:, k], attrs)
+    codes = {
+        "units": "1",
+        "long_name": "0: the displacement is a measurement",
+        "flag_values": np.array([int(status) for status in DotStatus], np.uint8),
+        "flag_meanings": " ".join(status.name for status in DotStatus),
+    }
+    variables["status"] = ("dot", tracks.status, codes)
+    coords: dict[str, Labelled] = {
+        "dot": ("dot", np.arange(len(tracks.status)), {"long_name": "number of the dot"})
+    }
+    with suppress(FitError):  # too few dots for a field
+        of_field, places = _field_arrays(motion.field())
+        variables, coords = variables | of_field, coords | places
+    frame = "row 0 at the top; x right, y up, from the middle of the image"
+    return LabelledArrays(variables, coords, {"frame": frame})
+
+
+def _field_arrays(field: "GelMotionField") -> tuple[dict[str, Labelled], dict[str, Labelled]]:
+    """Return the smooth field by name, and the coordinates of its grid."""
+    dims = ("field_row", "field_col")
+    variables: dict[str, Labelled] = {}
+    for k, axis in enumerate("xy"):
+        moved = {"units": "mm", "long_name": f"smooth field of the displacement along {axis}"}
+        sigma = {"units": "mm", "long_name": f"standard uncertainty of field_{axis}_mm"}
+        variables[f"field_{axis}_mm"] = (dims, field.moved_mm[..., k], moved)
+        variables[f"field_sigma_{axis}_mm"] = (dims, field.sigma_mm[..., k], sigma)
+    coords: dict[str, Labelled] = {
+        name: (name, at, {"units": "px"})
+        for name, at in zip(dims, (field.rows, field.cols), strict=True)
+    }
+    return variables, coords
 
 
 def height_drawing(height_map: "HeightMap") -> "Drawing":

@@ -17,6 +17,9 @@
     width_px = 320
     height_px = 240
 
+    [dots]                                     # optional, for a gel with printed dots: DotOptions
+    gamma = 1.4
+
     [options]                                  # optional, see PhotometricOptions
     integration = "corrected"
 
@@ -33,6 +36,7 @@ from reconstruction.capture.description import build, read_toml, table_of, take_
 from reconstruction.colour_maps import DEFAULT_MAP, map_named
 from reconstruction.errors import CaptureError, InputError, require_integer, require_number
 from reconstruction.photometric.calibration_ball import SampleOptions
+from reconstruction.photometric.printed_dots import DotOptions
 from reconstruction.photometric.sensor import PhotometricOptions
 
 Names = tuple[str, ...]
@@ -106,7 +110,8 @@ class PressDescription:
 
     The file has exactly one of the keys `image` (a file name) and `images` (a list of names), and
     exactly one of `calibration` (a file name) and `calibrate` (a table). After construction
-    `images` also contains the single name of `image`.
+    `images` also contains the single name of `image`. With the table `dots`, the printed dots are
+    masked and tracked.
     """
 
     image: str = ""
@@ -115,6 +120,7 @@ class PressDescription:
     calibration: str = ""
     calibrate: Calibrate | None = None
     frame: Framing = Framing()
+    dots: DotOptions | None = None
     options: PhotometricOptions = field(default_factory=PhotometricOptions)
 
     def __post_init__(self) -> None:
@@ -145,6 +151,8 @@ def read_press_description(path: Path | str) -> PressDescription:
             parts["calibrate"] = _calibrate(table_of(values, "calibrate"))
         if "frame" in values:
             parts["frame"] = build(Framing, table_of(values, "frame"), "frame")
+        if "dots" in values:
+            parts["dots"] = build(DotOptions, table_of(values, "dots"), "dots")
         if "options" in values:
             parts["options"] = build(PhotometricOptions, table_of(values, "options"), "options")
         return build(PressDescription, values | parts, path.name)

@@ -9,14 +9,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from reconstruction.arrays import Levels
+from reconstruction.arrays import FloatImage, Levels
 from reconstruction.errors import CaptureError, InputError, one_line
-from reconstruction.netcdf import (
-    write_arrays,
-)
+from reconstruction.native import quiet
+from reconstruction.netcdf import write_arrays
 from reconstruction.photometric.calibration_ball import BallPress
-from reconstruction.photometric.images import mean_background
-from reconstruction.photometric.presentation import SLOPES, height_arrays
+from reconstruction.photometric.images import checked_image, mean_background
+from reconstruction.photometric.presentation import SLOPES, dot_arrays, height_arrays
 from reconstruction.photometric.press_description import (
     Calibrate,
     Framing,
@@ -24,7 +23,12 @@ from reconstruction.photometric.press_description import (
     PressDescription,
     read_press_description,
 )
-from reconstruction.photometric.press_doubts import doubts_of_background, doubts_of_image
+from reconstruction.photometric.press_doubts import (
+    doubts_of_background,
+    doubts_of_image,
+    untouched_drift_mm,
+)
+from reconstruction.photometric.printed_dots import GelMotion, SensorDots
 from reconstruction.photometric.sensor import (
     HeightMap,
     PhotometricDecoder,
@@ -48,6 +52,7 @@ class PhotometricResult:
     height_map : measured heights
     untouched : pixels of undeformed gel, and the change of their light
     doubts : one line of text per reason why the calibration may be wrong
+    motion : displacements of the printed dots; None: the description has no table [dots]
     """
 
     image: Levels
@@ -55,6 +60,7 @@ class PhotometricResult:
     height_map: HeightMap
     untouched: UntouchedGel
     doubts: tuple[str, ...] = ()
+    motion: GelMotion | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,13 +72,16 @@ class DescribedPresses:
     files : images of the presses
     frame : crop and resize of the images
     decoder : calibrated decoder
-    doubts : one line of text per reason why the calibration may be wrong, from the backgrounds only
+    doubts : one line of text per reason why the calibration may be wrong, from the backgrounds and
+        the calibration images
+    dots : printed dots of the background; None: the description has no table [dots]
     """
 
     files: tuple[Path, ...]
     frame: Framing
     decoder: PhotometricDecoder
     doubts: tuple[str, ...]
+    dots: SensorDots | None = None
 
     def measure(self, file: Path) -> PhotometricResult:
         """Return the measurement of one press.
@@ -87,11 +96,19 @@ class DescribedPresses:
         """
         image = read_rgb(file, self.frame)
         try:
-            height_map, untouched = self.decoder.decode(image), self.decoder.untouched(image)
+            checked_image(image, "image", self.decoder.calibration.background.shape)
+            hidden = None if self.dots is None else self.dots.covered(image)
+            height_map = self.decoder.decode(image, hidden)
+            untouched = self.decoder.untouched(image, hidden)
         except InputError as error:
             raise CaptureError(f"{file}: {error}") from error
         doubts = self.doubts + doubts_of_image(height_map, untouched)
-        return PhotometricResult(image, self.decoder.calibration, height_map, untouched, doubts)
+        motion = None
+        if self.dots is not None:
+            drift_mm = untouched_drift_mm(height_map, untouched.where) or 0.0
+            motion = self.dots.tracked(image, height_map, drift_mm)
+        calibration = self.decoder.calibration
+        return PhotometricResult(image, calibration, height_map, untouched, doubts, motion)
 
 
 def described_presses(description_file: Path | str) -> DescribedPresses:
@@ -106,10 +123,27 @@ def described_presses(description_file: Path | str) -> DescribedPresses:
     """
     path = Path(description_file)
     described = read_press_description(path)
-    calibration, doubts = _calibration(path.parent, described)
+    backgrounds = _read_all(path.parent, described.background, described.frame)
+    if described.calibrate is None:
+        calibration, doubts = _stored(path.parent, described, backgrounds)
+        dots = _dots(described, calibration.background, calibration.smoothing_px)
+    else:
+        smoothing_px = described.calibrate.smoothing_px
+        dots = _dots(described, mean_background(backgrounds), smoothing_px)
+        calibration, doubts = _calibrated(
+            path.parent, described.calibrate, described.frame, backgrounds, dots
+        )
     decoder = PhotometricDecoder(calibration, described.options)
     files = tuple(_files(path.parent, described.images))
-    return DescribedPresses(files, described.frame, decoder, doubts)
+    return DescribedPresses(files, described.frame, decoder, doubts, dots)
+
+
+def _dots(
+    described: PressDescription, background: FloatImage, smoothing_px: int
+) -> SensorDots | None:
+    if described.dots is None:
+        return None
+    return SensorDots.of(background, described.dots, smoothing_px)
 
 
 def reconstruct_photometric(description_file: Path | str) -> PhotometricResult:
@@ -150,35 +184,46 @@ def _files(folder: Path, names: Names) -> list[Path]:
     return files
 
 
-def _calibration(
-    folder: Path, press: PressDescription
+def _stored(
+    folder: Path, press: PressDescription, backgrounds: list[Levels]
 ) -> tuple[SensorCalibration, tuple[str, ...]]:
-    """Return the calibration with the current background, and reasons why it may be wrong."""
-    background = _read_all(folder, press.background, press.frame)
-    if press.calibrate is not None:
-        return _calibrated(folder, press.calibrate, press.frame, background), ()
+    """Return the stored calibration with the current background, and reasons for doubt."""
     stored = read_sensor_calibration(folder / press.calibration)
-    if not background:
+    if not backgrounds:
         return stored, ()
-    if background[0].shape != stored.background.shape:
+    if backgrounds[0].shape != stored.background.shape:
         raise CaptureError(
-            f"{folder / press.background[0]}: has shape {background[0].shape}; the calibration "
+            f"{folder / press.background[0]}: has shape {backgrounds[0].shape}; the calibration "
             f"was made with {stored.background.shape}"
         )
-    today = mean_background(background)
+    today = mean_background(backgrounds)
     doubts = doubts_of_background(stored.background, today)
     return replace(stored, background=today), doubts
 
 
 def _calibrated(
-    folder: Path, how: Calibrate, frame: Framing, background: list[Levels]
-) -> SensorCalibration:
-    presses = [
-        BallPress(image, balls.diameter_mm)
-        for balls in how.balls
-        for image in _read_all(folder, balls.images, frame)
-    ]
-    return calibrate_sensor(presses, background, how.pitch_mm, how.map, how.samples)
+    folder: Path,
+    how: Calibrate,
+    frame: Framing,
+    backgrounds: list[Levels],
+    dots: SensorDots | None,
+) -> tuple[SensorCalibration, tuple[str, ...]]:
+    """Return the calibration on those images of balls that can be read, and the other images."""
+    presses: list[BallPress] = []
+    refused: list[str] = []
+    for balls in how.balls:
+        for file in _files(folder, balls.images):
+            try:
+                image = checked_image(read_rgb(file, frame), str(file), backgrounds[0].shape)
+            except InputError as error:
+                refused.append(str(error))
+                continue
+            hidden = None if dots is None else dots.covered(image)
+            presses.append(BallPress(image, balls.diameter_mm, hidden))
+    if not presses:
+        raise CaptureError(f"no calibration image can be read; the first: {refused[0]}")
+    calibration = calibrate_sensor(presses, backgrounds, how.pitch_mm, how.map, how.samples)
+    return calibration, tuple(f"calibration without {line}" for line in refused)
 
 
 def _read_all(folder: Path, names: Names, frame: Framing) -> list[Levels]:
@@ -205,13 +250,15 @@ def read_rgb(path: Path, frame: Framing | None = None) -> Levels:
     """
     try:
         content = np.frombuffer(read_bytes(path, MOST_IMAGE_BYTES), np.uint8)
-        stored = cv2.imdecode(content, cv2.IMREAD_UNCHANGED) if content.size else None
+        with quiet():  # OpenCV prints a line for each damaged file
+            stored = cv2.imdecode(content, cv2.IMREAD_UNCHANGED) if content.size else None
     except (InputError, cv2.error) as error:
         raise CaptureError(f"{path}: cannot be read as an image ({one_line(error)})") from error
-    if stored is None or stored.dtype != np.uint8 or stored.ndim != 3 or stored.shape[2] != 3:
-        stored_format = "no image" if stored is None else f"{stored.dtype} {stored.shape}"
+    if stored is None:
+        raise CaptureError(f"{path}: holds no image, or only a part of one; give the complete file")
+    if stored.dtype != np.uint8 or stored.ndim != 3 or stored.shape[2] != 3:
         raise CaptureError(
-            f"{path}: holds {stored_format}; give an 8-bit colour image without alpha"
+            f"{path}: holds {stored.dtype} {stored.shape}; give an 8-bit colour image without alpha"
         )
     levels: Levels = np.ascontiguousarray(stored[..., ::-1])  # OpenCV's order is blue first
     return levels if frame is None else framed(levels, frame)
@@ -231,6 +278,11 @@ def framed(image: Levels, frame: Framing) -> Levels:
 def write_height_map(path: Path | str, height_map: HeightMap) -> None:
     """Write heights, slopes and reason codes as netCDF-4 variables over image row and column."""
     write_arrays(path, height_arrays(height_map))
+
+
+def write_dots(path: Path | str, motion: GelMotion) -> None:
+    """Write places, displacements, uncertainties and status of printed dots as netCDF-4."""
+    write_arrays(path, dot_arrays(motion))
 
 
 def read_height_map(path: Path | str) -> HeightMap:

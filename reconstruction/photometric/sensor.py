@@ -367,12 +367,14 @@ class PhotometricDecoder:
     def _hidden_in_background(self) -> BoolImage:
         return self._markers(self.calibration.background)
 
-    def decode(self, image: ArrayLike) -> HeightMap:
+    def decode(self, image: ArrayLike, dots: BoolImage | None = None) -> HeightMap:
         """Return the heights and slopes measured from an image.
 
         Parameters
         ----------
         image : (row, col, 3) uint8, red first, of the shape of the background
+        dots : (row, col) bool, pixels of printed dots, in addition to those with a low level (see
+            `SensorCalibration.marker_level`); None: no others
 
         Raises
         ------
@@ -381,7 +383,7 @@ class PhotometricDecoder:
         """
         sensor = self.calibration
         raw = checked_image(image, "image", sensor.background.shape)
-        hidden = self._hidden(raw)
+        hidden = self._hidden(raw, dots)
         levels = self._lit_as_background(raw, hidden)[0]
         slopes, known = self._bound.slopes(levels)
         reason = _reasons(raw, hidden, known)
@@ -392,7 +394,7 @@ class PhotometricDecoder:
             height.astype(np.float32), filled.astype(np.float32), reason, sensor.pitch_mm
         )
 
-    def untouched(self, image: ArrayLike) -> UntouchedGel:
+    def untouched(self, image: ArrayLike, dots: BoolImage | None = None) -> UntouchedGel:
         """Return the pixels that `decode` treats as undeformed gel, and the change of the light.
 
         The change is that of the light in the image compared with the background.
@@ -400,18 +402,20 @@ class PhotometricDecoder:
         Parameters
         ----------
         image : (row, col, 3) uint8, red first, of the shape of the background
+        dots : see `decode`
 
         Raises
         ------
         InputError : the image has a wrong type or shape
         """
         raw = checked_image(image, "image", self.calibration.background.shape)
-        hidden = self._hidden(raw)
+        hidden = self._hidden(raw, dots)
         levels, change = self._lit_as_background(raw, hidden)
         return UntouchedGel(self._untouched(levels, hidden), change)
 
-    def _hidden(self, raw: Levels) -> BoolImage:
-        return self._markers(raw.astype(np.float32)) | self._hidden_in_background
+    def _hidden(self, raw: Levels, dots: BoolImage | None) -> BoolImage:
+        hidden = self._markers(raw.astype(np.float32)) | self._hidden_in_background
+        return hidden if dots is None else hidden | dots
 
     def _lit_as_background(self, raw: Levels, hidden: BoolImage) -> tuple[FloatImage, float]:
         """Return smoothed levels (row, col, 3) divided by the change of light, and that change.

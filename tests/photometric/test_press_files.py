@@ -2,6 +2,7 @@ import json
 import subprocess
 import sys
 from dataclasses import replace
+from functools import partial
 
 import imageio.v3 as imageio
 import numpy as np
@@ -24,6 +25,7 @@ from reconstruction.photometric import (
 from reconstruction.photometric.press_description import Framing
 from reconstruction.photometric.press_files import framed, read_rgb
 from twin.pipeline.colour_presses import reconstruct_presses
+from twin.report.presses import write_presses_page
 
 BALLS = 6
 HEADER = 'format = "photometric-press"\nversion = 1\n'
@@ -206,6 +208,61 @@ def test_a_folder_of_presses(folder, tmp_path, ball_presses, presses):
     stored = read_height_map(tmp_path / "out" / "presses" / "001_unknown_8" / "height.nc")
     np.testing.assert_array_equal(stored.height_mm, single.height_mm)
     assert imageio.imread(tmp_path / "out" / "heights.png").shape[2] >= 3
+
+
+@pytest.mark.parametrize("name", ["cut.png", "cut.jpg", "small.png", "grey.png", "gone.png"])
+def test_one_bad_image_costs_that_image(folder, tmp_path, calibrations, capfd, name):
+    """Truncated, of another size, without colours, missing: named with the reason, in the result
+    and on the page; the other press is measured. The library prints nothing by itself.
+    """
+    place, image = folder / name, imageio.imread(folder / "coin.png")
+    if name.startswith("cut"):
+        imageio.imwrite(place, image)
+        place.write_bytes(place.read_bytes()[:-200])
+    elif name != "gone.png":
+        imageio.imwrite(place, image[::2, ::2] if name == "small.png" else image[..., 0])
+    path = folder / "one_bad.toml"
+    write_sensor_calibration(folder / "mini.npz", calibrations["polynomial"])
+    lines = f'images = ["coin.png", "{name}"]\ncalibration = "mini.npz"\n'
+    path.write_text(HEADER + lines, encoding="utf-8")
+    outcome = reconstruct_presses(
+        path, tmp_path / "out", draw=partial(write_presses_page, name="one_bad")
+    )
+    assert outcome.figures["presses"] == 1
+    (refused,) = outcome.figures["refused"]
+    assert f"{name}: " in refused
+    assert "\n" not in refused
+    stored = json.loads((tmp_path / "out" / "result.json").read_text(encoding="utf-8"))
+    assert stored["metrics"]["refused"] == [refused]
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert page.count(name) >= 2
+    assert capfd.readouterr().err == ""
+
+
+def test_bad_calibration_images_are_left_out(folder, tmp_path, ball_presses):
+    """One image of a ball is cut: the result is that without this ball, with a warning."""
+    cut, whole = folder / "ball_cut.png", folder / "ball_0.png"
+    cut.write_bytes(whole.read_bytes()[:-500])
+    path = folder / "five.toml"
+    text = description(ball_presses)
+    first = text.index("[[calibrate.balls]]")
+    second = text.index("[[calibrate.balls]]", first + 1)
+    path.write_text(text[:first] + text[second:], encoding="utf-8")
+    without = reconstruct_photometric(path)
+    path.write_text(text.replace("ball_0.png", "ball_cut.png"), encoding="utf-8")
+    result = reconstruct_photometric(path)
+    np.testing.assert_array_equal(result.height_map.height_mm, without.height_map.height_mm)
+    assert result.doubts[0].startswith(f"calibration without {cut}: ")
+    assert without.doubts == ()
+
+
+def test_a_bad_background_is_an_error(folder, ball_presses):
+    (folder / "still_cut.png").write_bytes((folder / "still_0.png").read_bytes()[:-500])
+    path = folder / "no_flat.toml"
+    lines = 'background = ["still_0.png", "still_cut.png"]\n'
+    path.write_text(description(ball_presses, background=lines), encoding="utf-8")
+    with pytest.raises(CaptureError, match=r"still_cut\.png: holds no image"):
+        described_presses(path)
 
 
 def test_only_damaged_presses_are_an_error(folder, tmp_path, ball_presses):

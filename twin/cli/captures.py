@@ -250,10 +250,14 @@ def describe(
 
 def _reconstruct_presses(description: Path, out: Path) -> None:
     from twin.pipeline.colour_presses import reconstruct_presses
+    from twin.report.page import REPORT_FILE
+    from twin.report.presses import write_presses_page
 
     with progress_bars() as watch:
-        outcome = reconstruct_presses(description, out, watch)
-    _print_figures(outcome.figures, outcome.doubts, out)
+        outcome = reconstruct_presses(
+            description, out, watch, partial(write_presses_page, name=description.stem)
+        )
+    _print_figures(outcome.figures, outcome.doubts, out / REPORT_FILE)
 
 
 @app.command

@@ -83,7 +83,10 @@ class Lamp(Model):
 
 
 class Markers(Model):
-    """Dots printed on the coat, on a rectangular lattice about the origin, moving with it."""
+    """Dots printed on the coat, on a rectangular lattice about the origin, fixed in its material.
+
+    They move in the plane of the coat if the model of the elastomer computes this displacement.
+    """
 
     pitch_x_mm: Length
     pitch_y_mm: Length

@@ -12,7 +12,8 @@ from scipy.interpolate import RegularGridInterpolator
 
 from reconstruction.arrays import FloatArray
 from twin.config.models import Experiment
-from twin.mechanics import PressedElastomer, face_mesh
+from twin.mechanics import PressedElastomer, face_mesh, material_points
+from twin.mechanics.relief import MATERIAL_MM
 from twin.optics.materials import INK_ALBEDO
 
 if TYPE_CHECKING:
@@ -22,9 +23,13 @@ if TYPE_CHECKING:
 def seen_face(experiment: Experiment, pressed: PressedElastomer) -> "trimesh.Trimesh":
     """Return the mesh of the coated face, world mm, for the renderer.
 
-    If the ink is translucent, the mesh has the vertex attribute `INK_ALBEDO`.
+    If the ink is translucent, the mesh has the vertex attribute `INK_ALBEDO`; if dots are printed
+    on the coat, it has `MATERIAL_MM`.
     """
     face, albedo = face_mesh(pressed), ink_albedo(experiment, pressed)
+    if experiment.photometric.markers is not None:
+        material = material_points(pressed, experiment.elastomer, experiment.press)
+        face.vertex_attributes[MATERIAL_MM] = np.stack([of.ravel() for of in material], axis=-1)
     if albedo is not None:
         face.vertex_attributes[INK_ALBEDO] = albedo
     return face

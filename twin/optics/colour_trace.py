@@ -22,6 +22,7 @@ from twin.optics.devices import Device, SubPixels
 from twin.optics.heights import MarchedHeights
 from twin.optics.lamps import Emitters, emitters_of, sky_seen
 from twin.optics.layers import LayerStack
+from twin.optics.printed_dots import MaterialShift, dot_factor
 from twin.optics.scene import (
     bsdf_on,
     check_below_layers,
@@ -40,6 +41,8 @@ if TYPE_CHECKING:
 class LampRig:
     """Inputs of a colour trace: camera, emitters, layers (None: air) and printed dots (`markers`).
 
+    `shift` moves the dots with the material; None: they are at their places without load.
+
     If `shadows` is False, no shadow rays are traced. If `heights` is given, the scene is that sheet
     only, and rays are marched over its grid. If the coat is `matte`, its BRDF does not depend on
     direction and is evaluated once per hit instead of once per LED.
@@ -49,6 +52,7 @@ class LampRig:
     emitters: Emitters
     layers: LayerStack | None = None
     markers: Markers | None = None
+    shift: MaterialShift | None = None
     shadows: bool = True
     heights: MarchedHeights | None = None
     matte: bool = False
@@ -71,6 +75,7 @@ class ColourScene:
         self._lamps = experiment.lamps
         self._layers, self._stack = experiment.layers, layer_stack(experiment)
         self._markers = experiment.photometric.markers
+        self._shift = MaterialShift.of_face(face)
         self._matte = experiment.coating.is_matte
 
     def put(self, face: "trimesh.Trimesh") -> None:
@@ -84,7 +89,7 @@ class ColourScene:
         if len(face.faces) != self._facets:
             raise ValueError(f"the face has {len(face.faces)} facets, the scene {self._facets}")
         self._scene.put(face)
-        self._heights = heights_of(face)
+        self._heights, self._shift = heights_of(face), MaterialShift.of_face(face)
 
     def render(
         self, pinhole: Pinhole, T_world_from_cam: FloatArray, flux: FloatArray | None = None
@@ -113,6 +118,7 @@ class ColourScene:
             emitters,
             self._stack,
             self._markers,
+            self._shift,
             heights=self._heights,
             matte=self._matte,
         )
@@ -198,7 +204,7 @@ def _shaded(scene: Any, rig: LampRig, table: _Table, ray: Any) -> Any:
     start = mi.UInt32(0), _filled(table, hit, upright)
     total = dr.while_loop(start, lambda number, _: number < table.count, add_emitter)[1]
     if rig.markers is not None:
-        total *= _dots(rig.markers, hit.p)
+        total *= dot_factor(rig.markers, rig.shift, hit.p)
     return total if sight is None else total * sight.transmission(hit.t)
 
 
@@ -236,17 +242,6 @@ def _light(table: _Table, number: Any, point_mm: Any, absorption: float) -> tupl
     mirrored = dr.gather(mi.Bool, table.mirrored, number)
     light *= dr.select(mirrored, mi.fresnel(direction.z, dr.rcp(table.ior))[0], 1.0)
     return light, direction, distance_mm
-
-
-def _dots(markers: Markers, point_mm: Any) -> Any:
-    """Return the factor of the printed dots on the reflectance, 1 outside the dots.
-
-    Dots keep their x and y under load: the press is assumed to move the coat only vertically.
-    """
-    x = point_mm.x - dr.round(point_mm.x / markers.pitch_x_mm) * markers.pitch_x_mm
-    y = point_mm.y - dr.round(point_mm.y / markers.pitch_y_mm) * markers.pitch_y_mm
-    inside = x * x + y * y < markers.radius_mm**2
-    return dr.select(inside, markers.relative_albedo, 1.0)
 
 
 def trace_face(scene: Any, rig: LampRig) -> Truth:

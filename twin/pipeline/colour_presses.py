@@ -1,11 +1,14 @@
 """Measure one or several presses of a photometric sensor from their images, rendered or real.
 
-For one press the result folder contains height.nc and points.ply. For several presses these files
-are in presses/NUMBER_NAME for each press, and presses.csv has the figures of each press,
-heights.png the height maps. In both cases experiment.toml is the description, and
-sensor_calibration.npz the calibration for later measurements.
+For one press the result folder contains height.nc and points.ply, and for a gel with printed dots
+markers.nc and markers.png. For several presses these files are in presses/NUMBER_NAME for each
+press, and presses.csv has the figures of each press, heights.png the height maps. In both cases
+experiment.toml is the description, and sensor_calibration.npz the calibration for later
+measurements.
 """
 
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,18 +16,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.errors import CaptureError, InputError
+from reconstruction.errors import CaptureError, FitError, InputError
+from reconstruction.markers import DotStatus, mean_motion
 from reconstruction.photometric import (
     DescribedPresses,
+    GelMotion,
     HeightMap,
     PhotometricReason,
     PhotometricResult,
     described_presses,
+    write_dots,
     write_height_map,
     write_height_points,
     write_sensor_calibration,
 )
-from reconstruction.photometric.pictures import draw_heights
+from reconstruction.photometric.pictures import draw_dots, draw_heights
 from reconstruction.photometric.press_doubts import untouched_drift_mm
 from reconstruction.reading import MOST_IMAGE_BYTES, read_bytes, read_text
 from reconstruction.writing import write_text
@@ -35,38 +41,47 @@ from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.results.parts import write_rows
 
 HEIGHT_FILE, POINTS_FILE, CALIBRATION_FILE = "height.nc", "points.ply", "sensor_calibration.npz"
+DOTS_FILE, DOTS_PICTURE = "markers.nc", "markers.png"
 PRESSES_FOLDER, PRESSES_FILE, HEIGHTS_FILE = "presses", "presses.csv", "heights.png"
 _DIGITS = 6
 # Figures of several presses that are reported by their median.
-_MEDIANS = ("valid_share", "highest_mm", "untouched_share", "untouched_drift_um")
-
-
-@dataclass(frozen=True)
-class ColourOutcome:
-    """Figures of measured presses for result.json, and warnings that they may be wrong."""
-
-    figures: dict[str, Any]
-    doubts: tuple[str, ...]
+_MEDIANS = (
+    "valid_share",
+    "highest_mm",
+    "untouched_share",
+    "untouched_drift_um",
+    "dots_tracked",
+    "dots_moved_most_um",
+)
 
 
 @dataclass(frozen=True, eq=False)
-class _Series:
-    """Results of several presses.
+class ColourOutcome:
+    """Results of measured presses.
 
     Attributes
     ----------
-    rows : figures of each press, or the reason why it could not be measured
-    heights : height maps by name, of the presses that could be measured
+    figures : figures for result.json
     doubts : warnings that results may be wrong
+    rows : figures of each press, or the reason why it could not be measured (`refused`)
+    heights : height maps by name, of the presses that could be measured
     """
 
+    figures: dict[str, Any]
+    doubts: tuple[str, ...]
     rows: list[dict[str, Any]]
     heights: dict[str, HeightMap]
-    doubts: tuple[str, ...]
+
+
+Draw = Callable[[Path, ColourOutcome], object]
+"""Function that draws the page of presses into their folder."""
 
 
 def reconstruct_presses(
-    description: Path, out: Path, watch: ProgressCallback = no_progress
+    description: Path,
+    out: Path,
+    watch: ProgressCallback = no_progress,
+    draw: Draw | None = None,
 ) -> ColourOutcome:
     """Measure the presses of a description, and write the result folder `out`.
 
@@ -76,6 +91,7 @@ def reconstruct_presses(
     Parameters
     ----------
     description : TOML file, see `reconstruction.photometric.press_description`
+    draw : called at the end, with the folder
 
     Raises
     ------
@@ -96,6 +112,8 @@ def reconstruct_presses(
         files = [_content(file) for file in presses.files if file.is_file()]
         named = content_digest(text, files, presses.decoder.calibration)
         write_outcome(folder, "reconstruct", outcome.figures, digest=named)
+        if draw is not None:
+            draw(folder, outcome)
     return outcome
 
 
@@ -104,26 +122,15 @@ def _content(file: Path) -> NDArray[np.uint8]:
 
 
 def _one(presses: DescribedPresses, folder: Path) -> ColourOutcome:
-    result = presses.measure(presses.files[0])
-    _write(folder, result.height_map)
-    return ColourOutcome(press_figures(result), result.doubts)
+    file = presses.files[0]
+    result = presses.measure(file)
+    _write(folder, result)
+    figures = press_figures(result)
+    row = {"press": file.stem} | figures
+    return ColourOutcome(figures, result.doubts, [row], {file.stem: result.height_map})
 
 
 def _several(presses: DescribedPresses, folder: Path, watch: ProgressCallback) -> ColourOutcome:
-    series = _measured(presses, folder, watch)
-    write_rows(folder / PRESSES_FILE, series.rows, _DIGITS)
-    if not series.heights:
-        raise CaptureError(f"no press can be measured; the first: {series.rows[0]['refused']}")
-    draw_heights(folder / HEIGHTS_FILE, series.heights)
-    figures: dict[str, Any] = {
-        "presses": len(series.heights),
-        "presses_refused": len(series.rows) - len(series.heights),
-        "presses_in_doubt": sum(1 for row in series.rows if row.get("doubt")),
-    }
-    return ColourOutcome(figures | _medians(series.rows), series.doubts)
-
-
-def _measured(presses: DescribedPresses, folder: Path, watch: ProgressCallback) -> _Series:
     rows: list[dict[str, Any]] = []
     heights: dict[str, HeightMap] = {}
     doubts = list(presses.doubts)
@@ -139,15 +146,29 @@ def _measured(presses: DescribedPresses, folder: Path, watch: ProgressCallback) 
         doubts += [f"{file.name}: {doubt}" for doubt in own]
         rows.append({"press": name} | press_figures(result) | {"doubt": " ".join(own)})
         heights[name] = result.height_map
-        _write(folder / PRESSES_FOLDER / name, result.height_map)
+        _write(folder / PRESSES_FOLDER / name, result)
         watch("reconstruct", (number + 1) / len(presses.files))
-    return _Series(rows, heights, tuple(doubts))
+    write_rows(folder / PRESSES_FILE, rows, _DIGITS)
+    refused = [row["refused"] for row in rows if "refused" in row]
+    if not heights:
+        raise CaptureError(f"no press can be measured; the first: {refused[0]}")
+    draw_heights(folder / HEIGHTS_FILE, heights)
+    figures: dict[str, Any] = {
+        "presses": len(heights),
+        "presses_refused": len(refused),
+        "presses_in_doubt": sum(1 for row in rows if row.get("doubt")),
+        "refused": refused,
+    }
+    return ColourOutcome(figures | _medians(rows), tuple(doubts), rows, heights)
 
 
-def _write(folder: Path, height_map: HeightMap) -> None:
+def _write(folder: Path, result: PhotometricResult) -> None:
     folder.mkdir(parents=True, exist_ok=True)
-    write_height_map(folder / HEIGHT_FILE, height_map)
-    write_height_points(folder / POINTS_FILE, height_map)
+    write_height_map(folder / HEIGHT_FILE, result.height_map)
+    write_height_points(folder / POINTS_FILE, result.height_map)
+    if result.motion is not None:
+        write_dots(folder / DOTS_FILE, result.motion)
+        draw_dots(folder / DOTS_PICTURE, result.image, result.motion)
 
 
 def _medians(rows: list[dict[str, Any]]) -> dict[str, float]:
@@ -175,4 +196,34 @@ def press_figures(result: PhotometricResult) -> dict[str, Any]:
     if figures["points"]:
         figures["highest_mm"] = float(np.max(heights_mm))
         figures["lowest_mm"] = float(np.min(heights_mm))
-    return figures | masked_by_reason(height_map.mask_reason, PhotometricReason)
+    figures |= masked_by_reason(height_map.mask_reason, PhotometricReason)
+    return figures if result.motion is None else figures | dot_figures(result.motion)
+
+
+def dot_figures(motion: GelMotion) -> dict[str, Any]:
+    """Return the figures of printed dots by name, units in the names.
+
+    They are the number of dots per status, the largest displacement, the median uncertainty and, if
+    four dots are tracked, those of `mean_motion`.
+    """
+    tracks, tracked = motion.tracks, motion.tracks.tracked
+    figures: dict[str, Any] = {
+        f"dots_{status.name.lower()}": int(np.count_nonzero(tracks.status == status))
+        for status in DotStatus
+    }
+    figures["dot_diameter_um"] = 2e3 * tracks.pattern.radius_px * motion.pitch_mm
+    figures["dot_spacing_um"] = 1e3 * tracks.pattern.spacing_px * motion.pitch_mm
+    if tracked.any():
+        figures["dots_moved_most_um"] = 1e3 * float(np.hypot(*motion.moved_mm[tracked].T).max())
+        figures["dots_sigma_median_um"] = 1e3 * float(np.median(motion.sigma_mm[tracked]))
+    with suppress(FitError):
+        mean = mean_motion(motion.places_mm[tracked], motion.moved_mm[tracked])
+        figures |= {
+            "dots_mean_x_um": 1e3 * mean.x_mm,
+            "dots_mean_y_um": 1e3 * mean.y_mm,
+            "dots_divergence_permille": 1e3 * mean.divergence,
+            "dots_shear_permille": 1e3 * mean.shear,
+            "dots_rotation_mrad": 1e3 * mean.rotation_rad,
+            "dots_rotation_sigma_mrad": 1e3 * mean.rotation_sigma_rad,
+        }
+    return figures
