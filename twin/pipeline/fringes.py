@@ -422,6 +422,8 @@ def _lit(
     from twin.pipeline import trace
 
     scene, view = geometry.value, viewed(experiment, geometry, memory)
+    if experiment.motion.moves:
+        return _lit_in_motion(experiment, geometry, view, memory, progress)
     # Without an aperture blur is equal at all distances, so the tables do not depend on the view.
     depth = view.token if experiment.projector.aperture_mm else ()
     tables = memory.recall(
@@ -450,3 +452,25 @@ def _lit(
         (rays.token, photons.token, tables.token),
         lambda watched: trace.light(watched, scene, view.value, lit, progress),
     )
+
+
+def _lit_in_motion(
+    experiment: Experiment,
+    geometry: "CachedResult[Geometry]",
+    view: "CachedResult[View]",
+    memory: Memory,
+    progress: Progress,
+) -> CachedResult[RadianceStack]:
+    with renderer_session():
+        from twin.pipeline import moving
+
+    scene = geometry.value
+
+    def light(watched: Experiment) -> RadianceStack:
+        seen = moving.moving_view(watched, scene, view.value)
+        tables = trace.tables_of(watched, seen)
+        return moving.light_moving(watched, scene, seen, tables, progress)
+
+    from twin.pipeline import trace
+
+    return memory.recall("frames", experiment, view.token, light)
