@@ -12,7 +12,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from reconstruction.arrays import FloatArray, FloatImage
+from reconstruction.arrays import BoolImage, FloatArray, FloatImage, IntArray
 from reconstruction.errors import InputError
 from twin.optics.devices import Device
 from twin.optics.heights import MarchedHeights
@@ -264,20 +264,31 @@ class FrameLight:
         on_columns, on_rows = path.weight * row_outline, path.weight * column_outline
         return [light * on_columns for light in columns] + [light * on_rows for light in rows]
 
-    def value(self, path: Connection, frame: int) -> Any:
-        """Return the radiance that one path adds to one frame, by its number in the sequence.
+    def value(self, path: Connection, frames: "int | IntArray") -> Any:
+        """Return the radiance that each path adds to one frame, by its number in the sequence.
 
-        The code of the kernel is the same for all frames along one axis.
+        Parameters
+        ----------
+        frames : frame of all paths, or of each; all of them along the same axis. They are data of
+            the kernel: one kernel computes all frames along an axis
         """
-        on_columns = frame in self._columns.frames
+        numbers = np.atleast_1d(frames)
+        on_columns = self.is_along_columns(numbers[:1])[0]
         tables = (self._columns, self._rows) if on_columns else (self._rows, self._columns)
         places = (path.column_px, path.row_px) if on_columns else (path.row_px, path.column_px)
-        profiles = tables[0].frames.index(frame), tables[1].profiles - 1
+        # The frames of a table ascend. Opaque: a number is no literal of the kernel's code.
+        shown = np.searchsorted(tables[0].frames, numbers).astype(np.uint32)
+        each = mi.UInt32(shown) if len(shown) > 1 else dr.opaque(mi.UInt32, int(shown[0]))
+        last = dr.opaque(mi.UInt32, tables[1].profiles - 1)
         light, outline = (
-            table.profile_at(dr.opaque(mi.UInt32, profile), place, path.axial_mm, path.lit)
-            for table, place, profile in zip(tables, places, profiles, strict=True)
+            table.profile_at(profile, place, path.axial_mm, path.lit)
+            for table, place, profile in zip(tables, places, (each, last), strict=True)
         )
         return path.weight * light * outline
+
+    def is_along_columns(self, frames: IntArray) -> BoolImage:
+        """Return True for frames (frame,) in the table of columns: uniform ones, or by column."""
+        return np.isin(frames, self._columns.frames)
 
 
 def _on_device(table: LightTable) -> "_LookUpTable":

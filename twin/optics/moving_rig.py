@@ -1,10 +1,10 @@
-"""Camera rays of selected pixels from a rig in motion.
+"""Camera rays from a rig in motion, each at its own time.
 
 The scene is at rest, and the rig moves in the opposite direction. Its poses are data of the kernel
-and not part of the kernel's code: one kernel traces all instants.
+and not part of the kernel's code: one kernel traces all times.
 """
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import drjit as dr
@@ -12,47 +12,100 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.arrays import FloatArray, FloatImage
+from reconstruction.arrays import BoolImage, FloatArray, FloatImage
 from twin.optics.connection import Connection, Rig, see
 from twin.optics.devices import Device, SubPixels
 
 Pixels = NDArray[np.uint32]
 
 
-class MovedDevice(Device):
-    """A camera or projector whose pose is data of a kernel, so that a pose compiles no kernel."""
+@dataclass(frozen=True)
+class MovingDevice(Device):
+    """A camera or projector with one of several poses in each lane.
+
+    Attributes
+    ----------
+    poses : `mi.Float`, columns of the upper three rows of T_world_from_device, pose after pose
+    pose_of_lane : `mi.UInt32`, number of the pose of each lane
+    """
+
+    poses: Any = field(default=None)
+    pose_of_lane: Any = field(default=None)
+
+    @classmethod
+    def of(cls, device: Device, rest_from_world: FloatArray, pose_of_lane: Any) -> "MovingDevice":
+        """Return a device relative to a scene that is displaced by several motions.
+
+        Parameters
+        ----------
+        rest_from_world : (pose, 4, 4), mm; inverse displacement of the scene
+        """
+        poses = (rest_from_world @ device.T_world_from_device)[:, :3].transpose(0, 2, 1)
+        return cls(
+            device.pinhole,
+            device.T_world_from_device,
+            device.lens,
+            mi.Float(poses.ravel().astype(np.float32)),
+            pose_of_lane,
+        )
 
     @property
     def position_mm(self) -> Any:
         """World position of the pinhole, `mi.Point3f`, mm."""
-        return mi.Point3f(*_opaque(self.T_world_from_device[:3, 3]))
+        return mi.Point3f(self._column(3))
 
     def _axes(self) -> tuple[Any, Any, Any]:
-        right, down, forward = (
-            mi.Vector3f(*_opaque(axis)) for axis in self.T_world_from_device[:3, :3].T
-        )
+        right, down, forward = (mi.Vector3f(self._column(axis)) for axis in range(3))
         return right, down, forward
 
+    def _column(self, number: int) -> list[Any]:
+        """Return a column of the pose of each lane, three numbers."""
+        first = self.pose_of_lane * 12 + 3 * number
+        return [dr.gather(mi.Float, self.poses, first + axis) for axis in range(3)]
 
-def _opaque(values: FloatArray) -> list[Any]:
-    return [dr.opaque(mi.Float, float(value)) for value in values]
+
+def moving_rig(rig: Rig, displacements: FloatArray, pose_of_lane: Any) -> Rig:
+    """Return the rig relative to a scene in motion.
+
+    Parameters
+    ----------
+    displacements : (pose, 4, 4) T_world_from_rest of the scene, mm
+    pose_of_lane : `mi.UInt32`, number of the displacement of each lane
+    """
+    rest_from_world = np.linalg.inv(displacements)
+    camera, projector = (
+        MovingDevice.of(device, rest_from_world, pose_of_lane)
+        for device in (rig.camera, rig.projector)
+    )
+    return replace(rig, camera=camera, projector=projector)
 
 
-def moved_rig(rig: Rig, T_world_from_rest: FloatArray) -> Rig:
-    """Return the rig relative to a scene that is displaced by a rigid motion, mm."""
-    rest_from_world = np.linalg.inv(T_world_from_rest)
+@dataclass(frozen=True, eq=False)
+class TimedRays:
+    """Camera rays, each with its own time; all arrays are (lane,).
 
-    def moved(device: Device) -> Device:
-        return MovedDevice(
-            device.pinhole, rest_from_world @ device.T_world_from_device, lens=device.lens
-        )
+    Attributes
+    ----------
+    pixels : numbers of the pixels, row by row
+    sample : number of the sample in its pixel
+    time_s : time after the middle of the sequence
+    """
 
-    return replace(rig, camera=moved(rig.camera), projector=moved(rig.projector))
+    pixels: Pixels
+    sample: Pixels
+    time_s: FloatArray
+
+    def rays(self, rig: Rig, samples: int) -> Any:
+        """Return the rays, `mi.Ray3f`, of a rig with so many samples per pixel."""
+        row, column = np.divmod(self.pixels, np.uint32(rig.camera.pinhole.width_px))
+        place = (mi.Float(number.astype(np.float32)) for number in (column, row))
+        grid = SubPixels(*place, round(samples**0.5))
+        return grid.ray(rig.camera, mi.UInt32(self.sample))
 
 
 @dataclass(frozen=True, eq=False)
 class LanePaths:
-    """Camera rays connected to the projector, as arrays: one value per lane.
+    """Camera rays connected to the projector, as arrays (lane,).
 
     Attributes
     ----------
@@ -65,51 +118,23 @@ class LanePaths:
     axial_mm: FloatImage
     weight: FloatImage
 
+    @classmethod
+    def of(cls, scene: Any, rig: Rig, rays: TimedRays, samples: int) -> "LanePaths":
+        """Trace rays and return their paths."""
+        if not len(rays.pixels):
+            return cls(*(np.zeros(0, np.float32) for _ in fields(cls)))
+        path = see(scene, rig, rays.rays(rig, samples))[1]
+        dr.eval(*(getattr(path, part.name) for part in fields(path)))
+        values = (path.column_px, path.row_px, path.axial_mm, path.weight)
+        return cls(*(np.array(value, np.float32) for value in values))
 
-@dataclass(frozen=True, eq=False)
-class Lanes:
-    """All samples of selected pixels: sample 0 of every pixel, then sample 1, and so on.
+    def connection(self) -> Connection:
+        """Return the lanes as input of the light tables."""
+        column, row, axial_mm, weight = map(
+            mi.Float, (self.column_px, self.row_px, self.axial_mm, self.weight)
+        )
+        return Connection(column, row, weight, weight > 0.0, axial_mm)
 
-    Attributes
-    ----------
-    pixels : (pixel,) numbers of the pixels, row by row
-    width_px : width of the image
-    samples : rays per pixel, a square number
-    """
-
-    pixels: Pixels
-    width_px: int
-    samples: int
-
-    @property
-    def rows(self) -> NDArray[np.intp]:
-        """Row of the image of every pixel, (pixel,)."""
-        return np.asarray(self.pixels // np.uint32(self.width_px), np.intp)
-
-    def of(self, chosen: NDArray[np.bool_]) -> "Lanes":
-        """Return the lanes of some of the pixels, chosen by a mask (pixel,)."""
-        return replace(self, pixels=self.pixels[chosen])
-
-    def connections(self, scene: Any, rig: Rig) -> Connection:
-        """Return the traced lanes, recorded but not run."""
-        number = np.tile(self.pixels, self.samples)
-        place = mi.UInt32(number)
-        row = place // dr.opaque(mi.UInt32, self.width_px)
-        column = place - row * dr.opaque(mi.UInt32, self.width_px)
-        sample = mi.UInt32(np.repeat(np.arange(self.samples, dtype=np.uint32), len(self.pixels)))
-        grid = SubPixels(mi.Float(column), mi.Float(row), round(self.samples**0.5))
-        return see(scene, rig, grid.ray(rig.camera, sample))[1]
-
-    def traced(self, scene: Any, rig: Rig) -> LanePaths:
-        """Return the traced lanes as arrays."""
-        path = self.connections(scene, rig)
-        dr.eval(*(getattr(path, field.name) for field in fields(path)))
-        return LanePaths(*map(_array, (path.column_px, path.row_px, path.axial_mm, path.weight)))
-
-    def means(self, values: FloatImage) -> FloatImage:
-        """Return the mean over the samples of every pixel of values of all lanes, (pixel,)."""
-        return np.asarray(values.reshape(self.samples, -1).mean(axis=0, dtype=np.float64))
-
-
-def _array(values: Any) -> FloatImage:
-    return np.array(values, np.float32)
+    def of_lanes(self, chosen: BoolImage | NDArray[np.intp]) -> "LanePaths":
+        """Return some of the lanes."""
+        return LanePaths(*(getattr(self, part.name)[chosen] for part in fields(self)))

@@ -6,84 +6,58 @@ how a frame follows from the moments:
 - smooth: the samples of the pixel form a smooth patch at all moments. Mean projector coordinate and
   weight are polynomials of time.
 - sampled: each sample of the pixel has its own polynomials, for example on a steep slope.
-- traced: a sample crosses an edge, a shadow or the end of the light during the sequence. All
-  samples are traced at the exposure of each frame.
+- crossed: a sample crosses an edge, a shadow or the end of the light during the sequence. Between
+  the crossings it is linear in time (`piecewise_paths`). For frames near a crossing all samples of
+  the pixel are traced at the times of the exposure.
 
-The light of each frame is integrated over its exposure by Gauss's quadrature, as many nodes as the
-coordinate moves pixels. Random pixels are traced at random frames with one node more. Their
-differences are the stated error.
+The light of each frame is integrated over its exposure by Gauss's quadrature, with one node more
+than the pixels by which the projector coordinate moves. Random pixels are traced at random frames
+with one node more. Their differences are the stated error.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from functools import cached_property
+from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.polynomial import chebyshev
 
-from reconstruction.arrays import BoolImage, FloatArray, FloatImage
-from twin.optics.connection import FrameLight, Rig
-from twin.optics.frame_times import FrameTimes
-from twin.optics.moving_rig import LanePaths, Lanes
+from reconstruction.arrays import BoolImage, FloatArray, FloatImage, IntArray
+from twin.optics.connection import FrameLight
+from twin.optics.exposures import ExposureSequence
+from twin.optics.moving_pixels import (
+    CrossedPixels,
+    Lanes,
+    MovingScene,
+    PixelTracer,
+    SampledPixels,
+)
+from twin.optics.moving_rig import LanePaths, Pixels
 from twin.optics.one_trace import SMOOTH_WITHIN_PX, Patches
+from twin.optics.piecewise_paths import INTERVALS, PiecewisePaths
 from twin.optics.stack import Frames, MotionAccuracy
 from twin.optics.time_paths import (
     COORDINATE_PX,
     MOMENTS,
-    ExposureNodes,
     TimePaths,
     coefficients,
     moment_places,
     smooth_lanes,
 )
 
-PROBES = 4096
+PROBES = 2048
 """Largest number of random pixels by which the error is measured."""
 
-BANDS = 16
-"""Groups of rows of a rolling shutter that are traced at the same time, that of their middle."""
-
 _MOST_NODES = 16
+_STILL_PX = 0.1
 
 
-class MovingScene(Protocol):
-    """A scene that moves relative to its rig; times are seconds from the sequence's middle."""
-
-    def at(self, time_s: float) -> tuple[Any, Rig]:
-        """Return scene and rig at a time."""
+class PatchedScene(MovingScene, Protocol):
+    """A moving scene of which the patches of all pixels can be traced at one time."""
 
     def patches_at(self, time_s: float) -> Patches:
         """Return the traced rays of all pixels at a time."""
-
-
-@dataclass(frozen=True, eq=False)
-class ExposureSequence:
-    """Times of all frames, relative to half of the sequence; its middle is 0.
-
-    Attributes
-    ----------
-    half_s : half of the time from the first exposure to the end of the last one, in all rows
-    start, duration : (frame,) relative start and duration of the exposures in row 0
-    row_delay : relative time from one row to the next
-    """
-
-    half_s: float
-    start: FloatArray
-    duration: FloatArray
-    row_delay: float
-
-    @classmethod
-    def of(cls, times: FrameTimes, row_delay_s: float) -> "ExposureSequence":
-        """Return the relative times of exposures in row 0."""
-        half_s = float(-times.start_s[0])
-        return cls(
-            half_s, times.start_s / half_s, times.duration_s / half_s, row_delay_s / half_s
-        )
-
-    def nodes(self, frame: int, count: int, delay: float = 0.0) -> ExposureNodes:
-        """Return the Gauss nodes of a frame, later by a relative delay than in row 0."""
-        start, duration = float(self.start[frame]), float(self.duration[frame])
-        return ExposureNodes.of(start + delay, duration, count)
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,42 +67,62 @@ class _Moments:
     paths: list[LanePaths]
     patch: list[BoolImage]
 
-    @property
+    @cached_property
+    def lit(self) -> BoolImage:
+        """Pixels (pixel,) with light at all moments."""
+        return np.all([path.weight > 0.0 for path in self.paths], axis=0)
+
+    @cached_property
+    def ever_lit(self) -> BoolImage:
+        """Pixels (pixel,) with light at one moment or more."""
+        return np.any([path.weight > 0.0 for path in self.paths], axis=0)
+
+    @cached_property
     def white(self) -> float:
         """Mean weight of all lit pixels."""
         weights = np.asarray([path.weight for path in self.paths])
-        return float(weights[weights > 0.0].mean()) if (weights > 0.0).any() else 1.0
+        return float(weights[weights > 0.0].mean()) if self.ever_lit.any() else 1.0
 
-    @property
+    @cached_property
     def smooth(self) -> BoolImage:
         """Pixels (pixel,) that are dark, or a smooth patch that is a polynomial of time."""
         return np.asarray(smooth_lanes(self.paths, self.white) & np.all(self.patch, axis=0))
 
-    def speed_px(self) -> float:
-        """Return the largest speed of a coordinate, px per relative time, of 99 % of the pixels."""
-        lit = np.all([path.weight > 0.0 for path in self.paths], axis=0)
-        changes = [
-            np.abs(np.diff([getattr(path, name) for path in self.paths], axis=0)).max(axis=0)[lit]
+    def curved_share(self) -> float:
+        """Return the share of lit pixels that further moments may make smooth."""
+        last_px = [
+            np.abs(coefficients([getattr(path, name) for path in self.paths])[-1])
             for name in ("column_px", "row_px")
         ]
-        shortest = float(np.diff(moment_places(len(self.paths))).min())
-        return float(np.percentile(np.maximum(*changes), 99)) / shortest if lit.any() else 0.0
+        largest_px = np.maximum(*last_px)
+        return float(np.mean(self.lit & (largest_px > COORDINATE_PX) & (largest_px < 1.0)))
+
+    def speed_px(self) -> float:
+        """Return the largest speed of a coordinate, px per relative time, of 99 % of the pixels."""
+        if not self.lit.any():
+            return 0.0
+        widths = np.diff(moment_places(len(self.paths)))[:, None]
+        speeds = [
+            np.abs(np.diff([getattr(path, name)[self.lit] for path in self.paths], axis=0) / widths)
+            for name in ("column_px", "row_px")
+        ]
+        return float(np.percentile(np.max(speeds, axis=(0, 1)), 99))
 
 
 @dataclass(frozen=True, eq=False)
 class MovingStack:
-    """Frames of a moving scene, traced at the moments that it needs.
+    """Frames of a moving scene.
 
     Attributes
     ----------
-    scene : the scene and its rig at any time
+    scene : the scene at any time
     sequence : times of the frames
     light : light of the frames
     size_px : width and height of the image
     samples : rays per pixel
     """
 
-    scene: MovingScene
+    scene: PatchedScene
     sequence: ExposureSequence
     light: FrameLight
     size_px: tuple[int, int]
@@ -146,146 +140,109 @@ class MovingStack:
         """
         moments = self._moments()
         count = self._nodes(moments)
-        renderer = self._renderer(moments, count)
+        pixels = np.arange(self.size_px[0] * self.size_px[1], dtype=np.uint32)
+        smooth = self._polynomials([_where(p, moments.smooth) for p in moments.paths], pixels)
+        sampled, crossed = self._rest(moments, pixels[~moments.smooth])
+        edges = crossed.radiance(self._tracer, len(self.sequence.start), count)
         images = []
-        for frame in range(len(self.sequence.start)):
-            images.append(renderer.image(frame))
-            progress((frame + 1) / len(self.sequence.start))
-        return tuple(images), renderer.error(images, rng)
+        for frame, light in enumerate(edges):
+            nodes = self.sequence.nodes(frame, count)
+            image = smooth.light(self.light, frame, nodes, self.sequence.row_delay)
+            if len(sampled.lanes.pixels):
+                image[sampled.lanes.pixels] = sampled.radiance(self._tracer, frame, nodes)
+            image[crossed.lanes.pixels] = light
+            images.append(image.reshape(self.size_px[::-1]))
+            progress((frame + 1) / len(edges))
+        share = len(crossed.lanes.pixels) / max(1, int(moments.ever_lit.sum()))
+        return tuple(images), self._accuracy(moments, images, share, rng)
+
+    @cached_property
+    def _tracer(self) -> PixelTracer:
+        return PixelTracer(self.scene, self.sequence, self.light)
 
     def _moments(self) -> _Moments:
-        """Trace 3 moments, and more if this costs less than tracing pixels frame by frame."""
+        """Trace 3 moments, and more if this costs less than tracing pixels at equal steps."""
         traced: dict[float, tuple[LanePaths, BoolImage]] = {}
         for count in MOMENTS:
             places = [round(float(place), 12) for place in moment_places(count)]
             for place in places:
                 if place not in traced:
-                    patches = self.scene.patches_at(place * self.sequence.half_s)
-                    traced[place] = _means(patches)
+                    traced[place] = _means(self.scene.patches_at(place * self.sequence.half_s))
             moments = _Moments(*map(list, zip(*(traced[at] for at in places), strict=True)))
-            traced_work = _curved_share(moments) * len(self.sequence.start) * self._nodes(moments)
-            if traced_work <= count - 1:
+            near_edges = 2 * len(self.sequence.start) * self._nodes(moments) / INTERVALS
+            if moments.curved_share() * (INTERVALS + near_edges) <= count - 1:
                 break
         return moments
 
     def _nodes(self, moments: _Moments) -> int:
         """Return the number of Gauss nodes: one more than the pixels of an exposure's motion."""
         moved_px = moments.speed_px() * float(self.sequence.duration.max())
-        return min(1 if moved_px <= 0.1 else int(np.ceil(moved_px)) + 1, _MOST_NODES)
+        return 1 if moved_px <= _STILL_PX else min(int(np.ceil(moved_px)) + 1, _MOST_NODES)
 
-    def _renderer(self, moments: _Moments, count: int) -> "_Renderer":
-        width, height = self.size_px
-        smooth = moments.smooth
-        pixels = np.arange(width * height, dtype=np.uint32)
-        rest = Lanes(pixels[~smooth], width, self.samples)
-        paths = [rest.traced(*self.scene.at(time_s)) for time_s in self._times(moments)]
+    def _rest(self, moments: _Moments, pixels: Pixels) -> tuple[SampledPixels, CrossedPixels]:
+        """Return the pixels that are not smooth, traced sample by sample."""
+        rest = Lanes(pixels, self.size_px[0], self.samples)
+        paths = [self._at(rest, place) for place in moment_places(len(moments.paths))]
         steady = smooth_lanes(paths, moments.white).reshape(self.samples, -1).all(axis=0)
+        lanes, edges = rest.of(steady), rest.of(~steady)
         chosen = np.tile(steady, self.samples)
-        return _Renderer(
-            stack=self,
-            count=count,
-            white=moments.white,
-            smooth=self._polynomials([_where(path, smooth) for path in moments.paths], pixels),
-            sampled=rest.of(steady),
-            samples=self._polynomials(
-                [_chosen(path, chosen) for path in paths],
-                np.tile(rest.of(steady).pixels, self.samples),
-            ),
-            traced=rest.of(~steady),
-            moments=moments,
+        polynomials = self._polynomials(
+            [path.of_lanes(chosen) for path in paths], np.tile(lanes.pixels, self.samples)
         )
+        pieces = PiecewisePaths.of(lambda place: self._at(edges, place), moments.white)
+        return SampledPixels(lanes, polynomials), CrossedPixels(edges, pieces)
 
-    def _times(self, moments: _Moments) -> list[float]:
-        return [float(at) * self.sequence.half_s for at in moment_places(len(moments.paths))]
+    def _at(self, lanes: Lanes, place: float) -> LanePaths:
+        return self._tracer.paths(lanes, np.full((1, len(lanes.pixels)), place))
 
-    def _polynomials(self, paths: list[LanePaths], pixels: NDArray[np.uint32]) -> TimePaths:
+    def _polynomials(self, paths: list[LanePaths], pixels: Pixels) -> TimePaths:
         rows = pixels // np.uint32(self.size_px[0])
         return TimePaths.through(paths, rows, defocused=self.light.defocused)
 
-
-@dataclass(frozen=True, eq=False)
-class _Renderer:
-    """The three kinds of pixels of a moving stack, ready for its frames."""
-
-    stack: MovingStack
-    count: int
-    white: float
-    smooth: TimePaths
-    sampled: Lanes
-    samples: TimePaths
-    traced: Lanes
-    moments: _Moments
-
-    def image(self, frame: int) -> FloatImage:
-        """Return one frame (row, col), mW / (mm^2 sr)."""
-        stack, (width, height) = self.stack, self.stack.size_px
-        nodes, delay = stack.sequence.nodes(frame, self.count), stack.sequence.row_delay
-        image = self.smooth.light(stack.light, frame, nodes, delay)
-        if len(self.sampled.pixels):
-            values = self.samples.light(stack.light, frame, nodes, delay)
-            image[self.sampled.pixels] = self.sampled.means(values)
-        if len(self.traced.pixels):
-            image[self.traced.pixels] = self.traced_light(self.traced, frame, self.count)
-        return image.reshape(height, width)
-
-    def traced_light(self, lanes: Lanes, frame: int, count: int) -> FloatArray:
-        """Return the radiance (pixel,) of one frame, traced at `count` nodes of its exposure."""
-        sequence, light = self.stack.sequence, np.zeros(len(lanes.pixels))
-        for band, row in self._bands(lanes.rows):
-            chosen = lanes.of(band)
-            nodes = sequence.nodes(frame, count, row * sequence.row_delay)
-            for place, share in zip(nodes.places, nodes.shares, strict=True):
-                at = self.stack.scene.at(float(place) * sequence.half_s)
-                values = self.stack.light.value(chosen.connections(*at), frame)
-                light[band] += share * chosen.means(np.array(values, np.float32))
-        return light
-
-    def _bands(self, rows: NDArray[np.intp]) -> Iterator[tuple[BoolImage, float]]:
-        """Yield masks (pixel,) of groups of rows that are traced at one time, and their middle."""
-        if self.stack.sequence.row_delay == 0.0:
-            yield np.ones(len(rows), bool), 0.0
-            return
-        edges = np.linspace(0, self.stack.size_px[1], BANDS + 1).astype(int)
-        for first, last in zip(edges[:-1], edges[1:], strict=True):
-            band = (rows >= first) & (rows < last)
-            if band.any():
-                yield band, (first + last - 1) / 2.0
-
-    def error(self, images: list[FloatImage], rng: np.random.Generator) -> MotionAccuracy:
+    def _accuracy(
+        self,
+        moments: _Moments,
+        images: list[FloatImage],
+        crossed_share: float,
+        rng: np.random.Generator,
+    ) -> MotionAccuracy:
         """Return the error of random pixels of random frames, traced with one node more."""
-        lit = np.any([path.weight > 0.0 for path in self.moments.paths], axis=0)
-        pixels = np.flatnonzero(lit).astype(np.uint32)
-        chosen = rng.choice(pixels, min(PROBES, len(pixels)), replace=False)
-        frame_of = rng.integers(len(images), size=len(chosen))
-        radiance, coordinate = [np.zeros(0)], [np.zeros(0)]
-        for frame in np.unique(frame_of):
-            probes = Lanes(chosen[frame_of == frame], self.stack.size_px[0], self.stack.samples)
-            light = self.traced_light(probes, int(frame), self.count + 1)
-            radiance.append(images[frame].ravel()[probes.pixels] - light)
-            coordinate.append(self._coordinate_errors_px(probes, int(frame)))
+        count, lit = self._nodes(moments), np.flatnonzero(moments.ever_lit).astype(np.uint32)
+        pixels = rng.choice(lit, min(PROBES, len(lit)), replace=False)
+        frame_of = rng.integers(len(images), size=len(pixels))
+        jobs = [
+            (int(frame), Lanes(pixels[frame_of == frame], self.size_px[0], self.samples))
+            for frame in np.unique(frame_of)
+        ]
+        traced = self._tracer.traced(jobs, count + 1)
+        errors = [
+            images[frame].ravel()[lanes.pixels] - light
+            for (frame, lanes), light in zip(jobs, traced, strict=True)
+        ]
         return MotionAccuracy(
-            moments=len(self.moments.paths),
-            exposure_nodes=self.count,
-            traced_share=len(self.traced.pixels) / max(1, len(pixels)),
-            radiance_rms_percent=100.0 * _rms(np.concatenate(radiance)) / self.white,
-            coordinate_rms_px=_rms(np.concatenate(coordinate)),
+            moments=len(moments.paths),
+            exposure_nodes=count,
+            crossed_share=crossed_share,
+            radiance_rms_percent=100.0 * _rms(errors) / moments.white,
+            coordinate_rms_px=_rms([self._column_errors_px(moments, pixels, frame_of)]),
         )
 
-    def _coordinate_errors_px(self, probes: Lanes, frame: int) -> FloatArray:
-        """Return the errors of the mean column of smooth pixels in the middle of a frame."""
-        sequence = self.stack.sequence
-        lanes = probes.of(self.moments.smooth[probes.pixels])
-        errors = [np.zeros(0)]
-        for band, row in self._bands(lanes.rows):
-            chosen = lanes.of(band)
-            (place,) = sequence.nodes(frame, 1, row * sequence.row_delay).places
-            paths = chosen.traced(*self.stack.scene.at(float(place) * sequence.half_s))
-            weight = chosen.means(paths.weight)
-            column_px = chosen.means(paths.column_px * paths.weight)[weight > 0.0]
-            moments = [path.column_px[chosen.pixels] for path in self.moments.paths]
-            smooth_px = np.polynomial.chebyshev.chebval(place, coefficients(moments))
-            errors.append(smooth_px[weight > 0.0] - column_px / weight[weight > 0.0])
-        return np.concatenate(errors)
+    def _column_errors_px(
+        self, moments: _Moments, pixels: Pixels, frame_of: IntArray
+    ) -> FloatArray:
+        """Return the errors of the mean column of smooth pixels in the middle of their frames."""
+        probes = Lanes(pixels, self.size_px[0], self.samples)
+        start, duration = self.sequence.start[frame_of], self.sequence.duration[frame_of]
+        places = start + duration / 2.0 + self.sequence.row_delay * probes.rows
+        chosen = (moments.smooth & moments.lit)[pixels]
+        lanes, places = probes.of(chosen), places[chosen]
+        paths = self._tracer.paths(lanes, places[None])
+        column_px = lanes.means(paths.column_px * paths.weight)[0]
+        at_moments = [path.column_px[lanes.pixels] for path in moments.paths]
+        smooth_px = chebyshev.chebval(places, coefficients(at_moments), tensor=False)
+        weight = lanes.means(paths.weight)[0]
+        seen = weight > 0.0
+        return np.asarray(smooth_px[seen] - column_px[seen] / weight[seen])
 
 
 def _means(patches: Patches) -> tuple[LanePaths, BoolImage]:
@@ -309,20 +266,6 @@ def _where(path: LanePaths, mask: BoolImage) -> LanePaths:
     return replace(path, weight=np.where(mask, path.weight, np.float32(0.0)))
 
 
-def _chosen(path: LanePaths, mask: BoolImage) -> LanePaths:
-    return LanePaths(*(getattr(path, name)[mask] for name in vars(path)))
-
-
-def _curved_share(moments: _Moments) -> float:
-    """Return the share of pixels that further moments may make smooth: lit, and close to it."""
-    always = np.all([path.weight > 0.0 for path in moments.paths], axis=0)
-    last_px = [
-        np.abs(coefficients([getattr(path, name) for path in moments.paths])[-1])
-        for name in ("column_px", "row_px")
-    ]
-    curved = always & (np.maximum(*last_px) > COORDINATE_PX) & (np.maximum(*last_px) < 1.0)
-    return float(np.mean(curved))
-
-
-def _rms(errors: FloatArray) -> float:
-    return float(np.sqrt(np.mean(errors**2))) if len(errors) else 0.0
+def _rms(errors: list[FloatArray]) -> float:
+    together = np.concatenate([np.zeros(0), *errors])
+    return float(np.sqrt(np.mean(together**2))) if len(together) else 0.0

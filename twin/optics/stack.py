@@ -74,14 +74,14 @@ class MotionAccuracy:
     ----------
     moments : number of instants at which all pixels were traced
     exposure_nodes : times in each exposure over which the light is integrated
-    traced_share : share of the lit pixels that were traced for every frame
+    crossed_share : share of the lit pixels that cross an edge, or more, during the sequence
     radiance_rms_percent : error of the radiance, percent of the mean radiance in white light
     coordinate_rms_px : error of the projector column of smooth pixels
     """
 
     moments: int
     exposure_nodes: int
-    traced_share: float
+    crossed_share: float
     radiance_rms_percent: float
     coordinate_rms_px: float
 

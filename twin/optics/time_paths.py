@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from reconstruction.arrays import BoolImage, FloatArray, FloatImage
 from twin.optics.connection import Connection, FrameLight
+from twin.optics.exposures import ExposureNodes
 from twin.optics.moving_rig import LanePaths
 
 MOMENTS = (3, 5, 9)
@@ -105,7 +106,7 @@ class TimePaths:
         return Connection(column, row, weight, weight > 0.0, axial_mm)
 
     def light(
-        self, light: FrameLight, frame: int, nodes: "ExposureNodes", row_delay: float
+        self, light: FrameLight, frame: int, nodes: ExposureNodes, row_delay: float
     ) -> FloatImage:
         """Return the radiance (lane,) of one frame, integrated over its exposure.
 
@@ -121,20 +122,6 @@ class TimePaths:
             path = self.at(dr.fma(self.row, delay, start))
             total = dr.fma(light.value(path, frame), float(share), total)
         return np.array(total, np.float32)
-
-
-@dataclass(frozen=True, eq=False)
-class ExposureNodes:
-    """Gauss nodes of one exposure: relative times, and shares of the light, which sum to 1."""
-
-    places: FloatArray
-    shares: FloatArray
-
-    @classmethod
-    def of(cls, start: float, duration: float, count: int) -> "ExposureNodes":
-        """Return `count` nodes of an exposure with a relative start and duration."""
-        nodes, weights = np.polynomial.legendre.leggauss(count)
-        return cls(start + duration * (nodes + 1.0) / 2.0, weights / 2.0)
 
 
 def _powers_of_chebyshev(count: int) -> FloatArray:
