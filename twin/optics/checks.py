@@ -3,6 +3,7 @@
 from reconstruction.errors import InputError
 from twin.config.layers import holding_layer
 from twin.config.models import Experiment
+from twin.optics.frame_times import frame_times_s
 from twin.optics.light import pattern_set
 from twin.specimens import Body, bodies
 
@@ -17,10 +18,11 @@ def check_renderable(experiment: Experiment) -> None:
     InputError : depth of field with one sample per pixel; a stack of frames above 18 GB; a coat
         that is not valid in the layer around it; properties that the stock engine lacks; a bare
         specimen without material or with the stock engine; projector defocus with clear or
-        polished specimens
+        polished specimens; a motion that the renderer does not support
     """
     check_samples(experiment)
     check_stack_size(experiment)
+    check_motion(experiment)
     if not experiment.method.presses:
         check_direct_engine(experiment)
         parts = bodies(experiment.specimen, 0.0)
@@ -101,6 +103,41 @@ def check_direct_engine(experiment: Experiment) -> None:
             "render.engine: found 'stock', allowed 'one_trace' with modality ="
             f" '{experiment.modality}': stock"
             " Mitsuba cannot connect a projector through clear bodies; twin export writes the scene"
+        )
+
+
+def check_motion(experiment: Experiment) -> None:
+    """Raise InputError if the specimen moves and the renderer does not support this.
+
+    Raises
+    ------
+    InputError : photometric stereo; the stock engine; an automatic exposure, or one that does not
+        fit in its frame; a clear or polished bare specimen
+    """
+    if not experiment.motion.moves:
+        return
+    if not experiment.method.fringes:
+        raise InputError(
+            f"motion: found a motion with modality = '{experiment.modality}', which takes one "
+            "image; remove [motion], or measure by fringes"
+        )
+    if experiment.render.engine != "one_trace":
+        raise InputError(
+            f"render.engine: found '{experiment.render.engine}', allowed 'one_trace' with a motion;"
+            " stock Mitsuba renders scenes at rest (motion.time_s)"
+        )
+    frame_times_s(experiment)
+    if not experiment.method.presses:
+        _check_matt(bodies(experiment.specimen, 0.0))
+
+
+def _check_matt(parts: tuple[Body, ...]) -> None:
+    sharp = [part.name for part in parts if part.material is not None and part.material.is_sharp]
+    if sharp:
+        raise InputError(
+            f"motion: found a clear or polished material of {', '.join(sharp)}, allowed matt or "
+            "rough ones: photons are traced for a scene at rest; use a rougher material, or "
+            "motion.time_s"
         )
 
 

@@ -72,7 +72,7 @@ def moving_rig(rig: Rig, displacements: FloatArray, pose_of_lane: Any) -> Rig:
     displacements : (pose, 4, 4) T_world_from_rest of the scene, mm
     pose_of_lane : `mi.UInt32`, number of the displacement of each lane
     """
-    rest_from_world = np.linalg.inv(displacements)
+    rest_from_world = np.asarray(np.linalg.inv(displacements), np.float64)
     camera, projector = (
         MovingDevice.of(device, rest_from_world, pose_of_lane)
         for device in (rig.camera, rig.projector)
@@ -98,8 +98,8 @@ class TimedRays:
     def rays(self, rig: Rig, samples: int) -> Any:
         """Return the rays, `mi.Ray3f`, of a rig with so many samples per pixel."""
         row, column = np.divmod(self.pixels, np.uint32(rig.camera.pinhole.width_px))
-        place = (mi.Float(number.astype(np.float32)) for number in (column, row))
-        grid = SubPixels(*place, round(samples**0.5))
+        x_px, y_px = (mi.Float(number.astype(np.float32)) for number in (column, row))
+        grid = SubPixels(x_px, y_px, round(samples**0.5))
         return grid.ray(rig.camera, mi.UInt32(self.sample))
 
 

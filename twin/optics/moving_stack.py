@@ -70,12 +70,12 @@ class _Moments:
     @cached_property
     def lit(self) -> BoolImage:
         """Pixels (pixel,) with light at all moments."""
-        return np.all([path.weight > 0.0 for path in self.paths], axis=0)
+        return np.asarray(np.all([path.weight > 0.0 for path in self.paths], axis=0))
 
     @cached_property
     def ever_lit(self) -> BoolImage:
         """Pixels (pixel,) with light at one moment or more."""
-        return np.any([path.weight > 0.0 for path in self.paths], axis=0)
+        return np.asarray(np.any([path.weight > 0.0 for path in self.paths], axis=0))
 
     @cached_property
     def white(self) -> float:
@@ -96,6 +96,15 @@ class _Moments:
         ]
         largest_px = np.maximum(*last_px)
         return float(np.mean(self.lit & (largest_px > COORDINATE_PX) & (largest_px < 1.0)))
+
+    def moved_px(self) -> float:
+        """Return the median change of a coordinate from first to last moment, see the result."""
+        first, last = self.paths[0], self.paths[-1]
+        changes = (
+            np.abs(getattr(last, name) - getattr(first, name))[self.lit]
+            for name in ("column_px", "row_px")
+        )
+        return max(float(np.median(change)) for change in changes) if self.lit.any() else 0.0
 
     def speed_px(self) -> float:
         """Return the largest speed of a coordinate, px per relative time, of 99 % of the pixels."""
@@ -183,7 +192,8 @@ class MovingStack:
         """Return the pixels that are not smooth, traced sample by sample."""
         rest = Lanes(pixels, self.size_px[0], self.samples)
         paths = [self._at(rest, place) for place in moment_places(len(moments.paths))]
-        steady = smooth_lanes(paths, moments.white).reshape(self.samples, -1).all(axis=0)
+        by_sample = smooth_lanes(paths, moments.white).reshape(self.samples, -1)
+        steady = np.asarray(by_sample.all(axis=0))
         lanes, edges = rest.of(steady), rest.of(~steady)
         chosen = np.tile(steady, self.samples)
         polynomials = self._polynomials(
@@ -225,6 +235,7 @@ class MovingStack:
             crossed_share=crossed_share,
             radiance_rms_percent=100.0 * _rms(errors) / moments.white,
             coordinate_rms_px=_rms([self._column_errors_px(moments, pixels, frame_of)]),
+            moved_px=moments.moved_px(),
         )
 
     def _column_errors_px(

@@ -77,6 +77,8 @@ class MotionAccuracy:
     crossed_share : share of the lit pixels that cross an edge, or more, during the sequence
     radiance_rms_percent : error of the radiance, percent of the mean radiance in white light
     coordinate_rms_px : error of the projector column of smooth pixels
+    moved_px : median change of a pixel's projector coordinate from the first to the last moment, of
+        the axis with the larger change
     """
 
     moments: int
@@ -84,6 +86,7 @@ class MotionAccuracy:
     crossed_share: float
     radiance_rms_percent: float
     coordinate_rms_px: float
+    moved_px: float
 
 
 @dataclass(frozen=True)

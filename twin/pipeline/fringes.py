@@ -25,7 +25,7 @@ from twin.config.models import Experiment
 from twin.config.sensor_layer import SensorLayer
 from twin.mechanics import PressedElastomer
 from twin.mechanics.relief import MATERIAL_MM, face_grid
-from twin.optics.checks import check_direct_engine, check_stack_size
+from twin.optics.checks import check_direct_engine, check_motion, check_stack_size
 from twin.optics.light import pattern_set
 from twin.optics.rig import true_calibration
 from twin.optics.session import renderer_session
@@ -37,6 +37,7 @@ from twin.pipeline.press import PressedFace, glinting_material_mm, press
 from twin.pipeline.progress import Stopwatch
 from twin.results.figures import Metrics
 from twin.results.layout import layout_warnings
+from twin.results.motion import motion_warnings
 from twin.results.parts import taken_figures
 from twin.results.record import Fringes, Measurement, Recording
 from twin.results.score import metrics, order_warnings, score
@@ -136,6 +137,7 @@ def evaluate(
     figures["warnings"] += noise_warnings(experiment, noise)
     figures["warnings"] += decoding_warnings(experiment)
     figures["warnings"] += layout_warnings(experiment)
+    figures["warnings"] += motion_warnings(experiment, recording.radiance.motion)
     figures["warnings"] += sequence_warnings(experiment, recording.exposure_ms)
     figures["warnings"] += order_warnings(experiment, reconstruction, recording.truth)
     return Measurement(
@@ -371,6 +373,7 @@ def loaded(
     """
     check = check_direct_engine if pressed is None else check_layers
     check(experiment)
+    check_motion(experiment)
     with renderer_session():
         from twin.pipeline import trace
 
