@@ -1,6 +1,7 @@
 """Check whether the renderer supports an experiment, before the press and the trace are run."""
 
 from reconstruction.errors import InputError
+from twin.config.instant import experiment_at
 from twin.config.layers import holding_layer
 from twin.config.models import Experiment
 from twin.optics.frame_times import frame_times_s
@@ -112,7 +113,8 @@ def check_motion(experiment: Experiment) -> None:
     Raises
     ------
     InputError : photometric stereo; the stock engine; an automatic exposure, or one that does not
-        fit in its frame; a clear or polished bare specimen
+        fit in its frame; a clear or polished bare specimen; a press that rolls, that slides with
+        friction, or whose travel is not positive
     """
     if not experiment.motion.moves:
         return
@@ -126,9 +128,42 @@ def check_motion(experiment: Experiment) -> None:
             f"render.engine: found '{experiment.render.engine}', allowed 'one_trace' with a motion;"
             " stock Mitsuba renders scenes at rest (motion.time_s)"
         )
-    frame_times_s(experiment)
+    start_s, _ = frame_times_s(experiment)
     if not experiment.method.presses:
         _check_matt(bodies(experiment.specimen, 0.0))
+        return
+    for time_s in (start_s[0], -start_s[0]):
+        experiment_at(experiment, float(time_s))
+    _check_moving_press(experiment)
+
+
+def _check_moving_press(experiment: Experiment) -> None:
+    motion, remedy = experiment.motion, "measure a bare specimen (modality = 'direct_fpp')"
+    if motion.roll_deg_s:
+        raise InputError(
+            f"motion.roll_deg_s: found {motion.roll_deg_s:g}, allowed 0 of a press; {remedy}"
+        )
+    along = motion.vibration.amplitude_um > 0.0 and motion.vibration.direction != "z"
+    slides = motion.x_mm_s or motion.y_mm_s or motion.twist_deg_s or along
+    if slides and experiment.elastomer.sticks:
+        raise InputError(
+            "motion: found a specimen that slides or twists under an elastomer with friction, "
+            "allowed motion along z; set elastomer.friction = 'none', or move along z only"
+        )
+    if experiment.timing.readout == "rolling":
+        raise InputError(
+            "timing.readout: found 'rolling', allowed 'global' for a moving press: each row would "
+            f"need its own press; use 'global', or {remedy}"
+        )
+    if experiment.coating.facets() is not None:
+        raise InputError(
+            "coating.glints: found discrete flakes on a moving face, allowed a smooth coat; remove "
+            "[coating.glints], or the motion"
+        )
+    if experiment.bounces:
+        raise InputError(
+            f"render.bounces: found {experiment.bounces}, allowed 0 for a moving press; set it to 0"
+        )
 
 
 def _check_matt(parts: tuple[Body, ...]) -> None:

@@ -95,6 +95,10 @@ class TimedRays:
     sample: Pixels
     time_s: FloatArray
 
+    def of(self, chosen: BoolImage) -> "TimedRays":
+        """Return some of the rays."""
+        return TimedRays(self.pixels[chosen], self.sample[chosen], self.time_s[chosen])
+
     def rays(self, rig: Rig, samples: int) -> Any:
         """Return the rays, `mi.Ray3f`, of a rig with so many samples per pixel."""
         row, column = np.divmod(self.pixels, np.uint32(rig.camera.pinhole.width_px))
@@ -127,6 +131,17 @@ class LanePaths:
         dr.eval(*(getattr(path, part.name) for part in fields(path)))
         values = (path.column_px, path.row_px, path.axial_mm, path.weight)
         return cls(*(np.array(value, np.float32) for value in values))
+
+    @classmethod
+    def merged(cls, parts: "list[LanePaths]", masks: list[BoolImage]) -> "LanePaths":
+        """Return the lanes of several parts; each mask (lane,) selects the lanes of its part."""
+        values = []
+        for name in (part.name for part in fields(cls)):
+            lanes = np.zeros(len(masks[0]) if masks else 0, np.float32)
+            for path, mask in zip(parts, masks, strict=True):
+                lanes[mask] = getattr(path, name)
+            values.append(lanes)
+        return cls(*values)
 
     def connection(self) -> Connection:
         """Return the lanes as input of the light tables."""

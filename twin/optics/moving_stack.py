@@ -18,7 +18,7 @@ with one node more. Their differences are the stated error.
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -51,10 +51,21 @@ PROBES = 2048
 
 _MOST_NODES = 16
 _STILL_PX = 0.1
+# Between two moments of either number of moments.
+_CHECKED_PLACE = 0.4
 
 
 class PatchedScene(MovingScene, Protocol):
-    """A moving scene of which the patches of all pixels can be traced at one time."""
+    """A moving scene of which the patches of all pixels can be traced at one time.
+
+    Attributes
+    ----------
+    any_time : True if rays can be traced at any time; False: each time takes as long as a press, so
+        that pixels that cross an edge are interpolated between the moments, and the error is that
+        of one frame
+    """
+
+    any_time: ClassVar[bool]
 
     def patches_at(self, time_s: float) -> Patches:
         """Return the traced rays of all pixels at a time."""
@@ -172,7 +183,7 @@ class MovingStack:
     def _moments(self) -> _Moments:
         """Trace 3 moments, and more if this costs less than tracing pixels at equal steps."""
         traced: dict[float, tuple[LanePaths, BoolImage]] = {}
-        for count in MOMENTS:
+        for count in MOMENTS if self.scene.any_time else MOMENTS[:-1]:
             places = [round(float(place), 12) for place in moment_places(count)]
             for place in places:
                 if place not in traced:
@@ -191,19 +202,30 @@ class MovingStack:
     def _rest(self, moments: _Moments, pixels: Pixels) -> tuple[SampledPixels, CrossedPixels]:
         """Return the pixels that are not smooth, traced sample by sample."""
         rest = Lanes(pixels, self.size_px[0], self.samples)
-        paths = [self._at(rest, place) for place in moment_places(len(moments.paths))]
-        by_sample = smooth_lanes(paths, moments.white).reshape(self.samples, -1)
-        steady = np.asarray(by_sample.all(axis=0))
+        places = moment_places(len(moments.paths))
+        paths = [self._at(rest, place) for place in places]
+        steady = self._steady(paths, moments.white)
         lanes, edges = rest.of(steady), rest.of(~steady)
         chosen = np.tile(steady, self.samples)
         polynomials = self._polynomials(
             [path.of_lanes(chosen) for path in paths], np.tile(lanes.pixels, self.samples)
         )
-        pieces = PiecewisePaths.of(lambda place: self._at(edges, place), moments.white)
+        if self.scene.any_time:
+            pieces = PiecewisePaths.of(lambda place: self._at(edges, place), moments.white)
+        else:
+            pieces = PiecewisePaths.between(places, [path.of_lanes(~chosen) for path in paths])
         return SampledPixels(lanes, polynomials), CrossedPixels(edges, pieces)
 
+    def _steady(self, paths: list[LanePaths], white: float) -> BoolImage:
+        """Return True for the pixels (pixel,) whose samples are polynomials of time."""
+        steady = smooth_lanes(paths, white)
+        if not self.scene.any_time:
+            lit = np.sum([path.weight > 0.0 for path in paths], axis=0)
+            steady = np.asarray((lit == 0) | (lit == len(paths)))
+        return np.asarray(steady.reshape(self.samples, -1).all(axis=0))
+
     def _at(self, lanes: Lanes, place: float) -> LanePaths:
-        return self._tracer.paths(lanes, np.full((1, len(lanes.pixels)), place))
+        return self._tracer.paths(lanes, np.full((1, len(lanes.pixels)), round(float(place), 12)))
 
     def _polynomials(self, paths: list[LanePaths], pixels: Pixels) -> TimePaths:
         rows = pixels // np.uint32(self.size_px[0])
@@ -220,6 +242,8 @@ class MovingStack:
         count, lit = self._nodes(moments), np.flatnonzero(moments.ever_lit).astype(np.uint32)
         pixels = rng.choice(lit, min(PROBES, len(lit)), replace=False)
         frame_of = rng.integers(len(images), size=len(pixels))
+        if not self.scene.any_time:
+            frame_of[:] = np.abs(self.sequence.start - _CHECKED_PLACE).argmin()
         jobs = [
             (int(frame), Lanes(pixels[frame_of == frame], self.size_px[0], self.samples))
             for frame in np.unique(frame_of)

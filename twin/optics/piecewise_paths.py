@@ -25,42 +25,52 @@ _SECOND_OVER_ERROR = 8.0
 
 @dataclass(frozen=True, eq=False)
 class PiecewisePaths:
-    """Lanes at equal steps of the relative time, from -1 to 1.
+    """Lanes at several relative times, from -1 to 1.
 
     Attributes
     ----------
+    places : (step,) ascending relative times
     values : by quantity, (step, lane)
-    holds : (interval, lane) True where all quantities are linear in time
+    holds : (interval, lane) True where the lanes are interpolated
     """
 
+    places: FloatArray
     values: dict[str, FloatImage]
     holds: BoolImage
 
     @classmethod
     def of(cls, trace: Callable[[float], LanePaths], white: float) -> "PiecewisePaths":
-        """Return lanes from their traces.
+        """Return lanes traced at equal steps.
 
         Parameters
         ----------
         trace : returns the lanes at a relative time
         white : mean weight of all lit rays
         """
-        traced = [trace(float(place)) for place in np.linspace(-1.0, 1.0, INTERVALS + 1)]
-        values = {name: np.stack([getattr(path, name) for path in traced]) for name in _NAMES}
+        places = np.linspace(-1.0, 1.0, INTERVALS + 1)
+        values = _stacked([trace(float(place)) for place in places])
         lit = values["weight"] > 0.0
         limits = {"column_px": COORDINATE_PX, "row_px": COORDINATE_PX}
         limits["weight"] = WEIGHT_SHARE * white
         linear = np.all([_linear(values[name], limit) for name, limit in limits.items()], axis=0)
-        return cls(values, (lit[:-1] & lit[1:] & linear) | ~(lit[:-1] | lit[1:]))
+        holds = (lit[:-1] & lit[1:] & linear) | ~(lit[:-1] | lit[1:])
+        return cls(places, values, holds)
+
+    @classmethod
+    def between(cls, places: FloatArray, paths: list[LanePaths]) -> "PiecewisePaths":
+        """Return lanes that are interpolated everywhere between their traces at given times."""
+        values = _stacked(paths)
+        return cls(places, values, np.ones((len(places) - 1, values["weight"].shape[1]), bool))
 
     def held_at(self, places: FloatArray) -> BoolImage:
         """Return True for the lanes that are interpolated at relative times, (..., lane)."""
-        return np.asarray(self.holds[_interval(places), np.arange(self.holds.shape[1])])
+        return np.asarray(self.holds[self._interval(places), np.arange(self.holds.shape[1])])
 
     def at(self, places: FloatArray, lanes: NDArray[np.intp]) -> LanePaths:
         """Return some lanes, interpolated linearly at a relative time of each."""
-        step = _interval(places)
-        share = ((places + 1.0) * (INTERVALS / 2.0) - step).astype(np.float32)
+        step = self._interval(places)
+        start, end = self.places[step], self.places[step + 1]
+        share = ((places - start) / (end - start)).astype(np.float32)
         return LanePaths(
             *(
                 values[step, lanes] * (1.0 - share) + values[step + 1, lanes] * share
@@ -68,10 +78,12 @@ class PiecewisePaths:
             )
         )
 
+    def _interval(self, places: FloatArray) -> NDArray[np.intp]:
+        return np.searchsorted(self.places[1:-1], places, side="right")
 
-def _interval(places: FloatArray) -> NDArray[np.intp]:
-    steps = np.floor((places + 1.0) * (INTERVALS / 2.0)).astype(np.intp)
-    return np.clip(steps, 0, INTERVALS - 1)
+
+def _stacked(paths: list[LanePaths]) -> dict[str, FloatImage]:
+    return {name: np.stack([getattr(path, name) for path in paths]) for name in _NAMES}
 
 
 def _linear(values: FloatImage, limit: float) -> BoolImage:

@@ -21,10 +21,11 @@ from twin.camera import NoiseFunction, expose
 from twin.camera.noise_function import name_of
 from twin.config import digest, require_experiment
 from twin.config.digest import content_digest
+from twin.config.instant import experiment_at
 from twin.config.models import Experiment
 from twin.config.sensor_layer import SensorLayer
 from twin.mechanics import PressedElastomer
-from twin.mechanics.relief import MATERIAL_MM, face_grid
+from twin.mechanics.relief import MATERIAL_MM, FaceGrid, face_grid
 from twin.optics.checks import check_direct_engine, check_motion, check_stack_size
 from twin.optics.light import pattern_set
 from twin.optics.rig import true_calibration
@@ -467,13 +468,14 @@ def _lit_in_motion(
     with renderer_session():
         from twin.pipeline import moving
 
-    scene = geometry.value
+    def face_at(time_s: float) -> FaceGrid:
+        return face_grid(press(experiment_at(experiment, time_s), Memory()).pressed)
 
-    def light(watched: Experiment) -> RadianceStack:
-        seen = moving.moving_view(watched, scene, view.value)
-        tables = trace.tables_of(watched, seen)
-        return moving.light_moving(watched, scene, seen, tables, progress)
-
-    from twin.pipeline import trace
-
-    return memory.recall("frames", experiment, view.token, light)
+    # A press at another time reads further fields of the experiment, which identify the frames.
+    inputs = view.token if geometry.value.face is None else (view.token, digest(experiment))
+    return memory.recall(
+        "frames",
+        experiment,
+        inputs,
+        lambda watched: moving.light_moving(watched, geometry.value, view.value, face_at, progress),
+    )
