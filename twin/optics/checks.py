@@ -116,7 +116,14 @@ def check_motion(experiment: Experiment) -> None:
         fit in its frame; a clear or polished bare specimen; a press that rolls, that slides with
         friction, or whose travel is not positive
     """
-    if not experiment.motion.moves:
+    motion = experiment.motion
+    if motion.is_stated and motion.time_s is not None and experiment.method.presses:
+        raise InputError(
+            f"motion.time_s: found {motion.time_s:g} with a press, allowed for a bare specimen; "
+            "state the travel and place of that time (press.depth_mm, specimen.x_mm), remove "
+            "[motion]"
+        )
+    if not motion.moves:
         return
     if not experiment.method.fringes:
         raise InputError(

@@ -196,9 +196,10 @@ def record(
     Raises
     ------
     InputError : the coat is seen through a gel (contact-face layout) that the experiment does not
-        describe
+        describe, or the specimen moves
     MissingBackend : there is no usable Dr.Jit backend
     """
+    _check_given_face(experiment)
     run = RunContext.alone(clock, trial)
     if memory is not None:
         run = replace(run, memory=memory)
@@ -224,6 +225,7 @@ def render(
     """
     require_experiment(experiment)
     require_instance("face", face, Trimesh, "give a mesh: twin.mechanics.face_mesh(pressed)")
+    _check_given_face(experiment)
     with renderer_session():
         from twin.pipeline import trace
 
@@ -306,6 +308,14 @@ def noise_warnings(experiment: Experiment, noise: NoiseFunction | None) -> list[
         f"camera noise {source}; standard deviations of points and bounds are those of the EMVA "
         "1288 model"
     ]
+
+
+def _check_given_face(experiment: Experiment) -> None:
+    if experiment.motion.moves:
+        raise InputError(
+            "motion: found a motion, allowed a scene at rest with a face that was pressed before; "
+            "remove [motion], or measure the experiment (twin measure), which presses each moment"
+        )
 
 
 def check_layers(experiment: Experiment) -> None:

@@ -28,7 +28,7 @@ def motion_figures(radiance: RadianceStack) -> dict[str, Metric]:
 def motion_warnings(experiment: Experiment, accuracy: MotionAccuracy | None) -> list[str]:
     """Return a warning that states the motion during the sequence; empty for a scene at rest."""
     if accuracy is None:
-        return []
+        return _displaced(experiment)
     half_s = float(-frame_times_s(experiment).start_s[0])
     motion = experiment.motion
     places_mm = np.array([motion.shift_mm(at) for at in np.linspace(-half_s, half_s, 2001)])
@@ -39,4 +39,15 @@ def motion_warnings(experiment: Experiment, accuracy: MotionAccuracy | None) -> 
         f"the specimen moves by {moved_um:.3g} um{turn} during the sequence of {2e3 * half_s:.4g} "
         f"ms, and the projector coordinate of a pixel by {accuracy.moved_px:.3g} px (median); the "
         "decoder assumes a specimen at rest, and the truth is that of the sequence's middle"
+    ]
+
+
+def _displaced(experiment: Experiment) -> list[str]:
+    motion = experiment.motion
+    if not motion.is_stated or motion.time_s is None:
+        return []
+    return [
+        f"the specimen is at its place {motion.time_s:.4g} s after the middle of the sequence: "
+        "figures that use its nominal place (balls, object, widths) are displaced; the errors of "
+        "points are not"
     ]
