@@ -24,9 +24,9 @@ SMALL = {
     "patterns.steps": 3,
     "patterns.axes": ["column"],
 }
-# Single precision loses rays at the common edges of facets, of a scene at rest, too.
-SEAMLESS = 0.97
-PLANE = {"specimen.diameter_mm": 40.0, "specimen.height_mm": 1.0}
+# The centre is out of view: rays are lost between its thin facets, of a scene at rest, too.
+PLANE = {"specimen.diameter_mm": 60.0, "specimen.height_mm": 1.0, "specimen.x_mm": 18.0}
+SEAMLESS = 0.995
 
 
 def moving(specimen=None, **keys):
@@ -91,6 +91,7 @@ def test_the_decoded_coordinate_of_a_moving_plane_is_that_of_the_phases_of_its_f
     import twin
 
     rate_mm_s, keys = 0.5, {"camera.noise": False, "decode.filter_taps": 0, "patterns.steps": 8}
+    keys["decode.frame_gains"] = False  # which takes the motion for light that changes
     experiment = moving(PLANE, motion__z_mm_s=rate_mm_s, **keys)
     measured, calibration = twin.measure(experiment), true_calibration(experiment)
     times, frames = frame_times_s(experiment), measured.fringes.capture.patterns.frames
@@ -101,10 +102,10 @@ def test_the_decoded_coordinate_of_a_moving_plane_is_that_of_the_phases_of_its_f
     phasor = np.sum(np.cos(np.array(moved) + steps) * np.exp(-1j * steps), axis=0)
     rest_px = plane_column_px(calibration, 0.0)
     shift_px = np.angle(phasor * np.exp(-1j * turns * rest_px)) / turns
-    decoded_px = measured.fringes.reconstruction.column.coordinate_px.ravel()
+    decoded_px = measured.fringes.reconstruction.decoded.column.coordinate_px.ravel()
     error_px = np.abs(decoded_px - rest_px - shift_px)[measured.points.valid.ravel()]
     assert np.median(np.abs(shift_px)) > 0.03
-    assert np.mean(error_px < 3e-3) > SEAMLESS
+    assert np.mean(error_px < 4.5e-3) > SEAMLESS
     assert any("the specimen moves by" in line for line in measured.metrics["warnings"])
     assert measured.metrics["motion_moments"] == 3
 
@@ -151,9 +152,9 @@ def test_the_exposure_is_integrated(mi):
     assert stack.motion.exposure_nodes > 2
     expected = frame_of_instants(experiment, 2, 8)
     error = np.abs(stack.frames[2] - expected)
-    assert np.mean(error < 2e-3 * white_of(stack)) > SEAMLESS
+    assert np.mean(error < 1e-3 * white_of(stack)) > SEAMLESS
     one = np.abs(frame_of_instants(experiment, 2, 1) - expected)
-    assert np.median(one) > 5e-3 * white_of(stack)
+    assert np.median(one) > 3e-3 * white_of(stack)
 
 
 def test_zero_velocity_has_the_bytes_of_a_scene_at_rest(mi):
