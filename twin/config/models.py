@@ -23,12 +23,14 @@ from twin.config.layers import Layer, Layers, check_rig
 from twin.config.materials import MATERIALS, Material
 from twin.config.measurands import ObjectMeasurand
 from twin.config.methods import TRAITS, Method, MethodTraits
+from twin.config.motion import Motion
 from twin.config.noise_models import NOISE_MODELS, NoiseModel
 from twin.config.optics import Optics
 from twin.config.overview import overview
 from twin.config.patterns import Patterns
 from twin.config.sigma import AssumedSigma
 from twin.config.specimen_base import SPECIMENS, AnySpecimen, Specimen, Stage
+from twin.config.timing import Timing
 
 __all__ = [
     "AnySpecimen",
@@ -44,6 +46,7 @@ __all__ = [
     "Material",
     "Mechanics",
     "Model",
+    "Motion",
     "NoiseModel",
     "ObjectMeasurand",
     "Optics",
@@ -59,6 +62,7 @@ __all__ = [
     "Specimen",
     "Stage",
     "Texture",
+    "Timing",
 ]
 
 
@@ -206,6 +210,8 @@ class Experiment(Model):
     camera: Camera
     optics: Optics = Field(default=Optics(), exclude_if=lambda optics: not optics.is_stated)
     patterns: Patterns
+    timing: Timing = Field(default=Timing(), exclude_if=lambda timing: timing == Timing())
+    motion: Motion = Field(default=Motion(), exclude_if=lambda motion: motion == Motion())
     render: Render = Render()
     decode: Decode = Decode()
     score: ScoreSettings

@@ -1,8 +1,10 @@
 """Check whether the renderer supports an experiment, before the press and the trace are run."""
 
 from reconstruction.errors import InputError
+from twin.config.instant import experiment_at
 from twin.config.layers import holding_layer
 from twin.config.models import Experiment
+from twin.optics.frame_times import frame_times_s
 from twin.optics.light import pattern_set
 from twin.specimens import Body, bodies
 
@@ -17,10 +19,11 @@ def check_renderable(experiment: Experiment) -> None:
     InputError : depth of field with one sample per pixel; a stack of frames above 18 GB; a coat
         that is not valid in the layer around it; properties that the stock engine lacks; a bare
         specimen without material or with the stock engine; projector defocus with clear or
-        polished specimens
+        polished specimens; a motion that the renderer does not support
     """
     check_samples(experiment)
     check_stack_size(experiment)
+    check_motion(experiment)
     if not experiment.method.presses:
         check_direct_engine(experiment)
         parts = bodies(experiment.specimen, 0.0)
@@ -101,6 +104,82 @@ def check_direct_engine(experiment: Experiment) -> None:
             "render.engine: found 'stock', allowed 'one_trace' with modality ="
             f" '{experiment.modality}': stock"
             " Mitsuba cannot connect a projector through clear bodies; twin export writes the scene"
+        )
+
+
+def check_motion(experiment: Experiment) -> None:
+    """Raise InputError if the specimen moves and the renderer does not support this.
+
+    Raises
+    ------
+    InputError : photometric stereo; the stock engine; an automatic exposure, or one that does not
+        fit in its frame; a clear or polished bare specimen; a press that rolls, that slides with
+        friction, or whose travel is not positive
+    """
+    motion = experiment.motion
+    if motion.is_stated and motion.time_s is not None and experiment.method.presses:
+        raise InputError(
+            f"motion.time_s: found {motion.time_s:g} with a press, allowed for a bare specimen; "
+            "state the travel and place of that time (press.depth_mm, specimen.x_mm), remove "
+            "[motion]"
+        )
+    if not motion.moves:
+        return
+    if not experiment.method.fringes:
+        raise InputError(
+            f"motion: found a motion with modality = '{experiment.modality}', which takes one "
+            "image; remove [motion], or measure by fringes"
+        )
+    if experiment.render.engine != "one_trace":
+        raise InputError(
+            f"render.engine: found '{experiment.render.engine}', allowed 'one_trace' with a motion;"
+            " stock Mitsuba renders scenes at rest (motion.time_s)"
+        )
+    start_s, _ = frame_times_s(experiment)
+    if not experiment.method.presses:
+        _check_matt(bodies(experiment.specimen, 0.0))
+        return
+    for time_s in (start_s[0], -start_s[0]):
+        experiment_at(experiment, float(time_s))
+    _check_moving_press(experiment)
+
+
+def _check_moving_press(experiment: Experiment) -> None:
+    motion, remedy = experiment.motion, "measure a bare specimen (modality = 'direct_fpp')"
+    if motion.roll_deg_s:
+        raise InputError(
+            f"motion.roll_deg_s: found {motion.roll_deg_s:g}, allowed 0 of a press; {remedy}"
+        )
+    along = motion.vibration.amplitude_um > 0.0 and motion.vibration.direction != "z"
+    slides = motion.x_mm_s or motion.y_mm_s or motion.twist_deg_s or along
+    if slides and experiment.elastomer.sticks:
+        raise InputError(
+            "motion: found a specimen that slides or twists under an elastomer with friction, "
+            "allowed motion along z; set elastomer.friction = 'none', or move along z only"
+        )
+    if experiment.timing.readout == "rolling":
+        raise InputError(
+            "timing.readout: found 'rolling', allowed 'global' for a moving press: each row would "
+            f"need its own press; use 'global', or {remedy}"
+        )
+    if experiment.coating.facets() is not None:
+        raise InputError(
+            "coating.glints: found discrete flakes on a moving face, allowed a smooth coat; remove "
+            "[coating.glints], or the motion"
+        )
+    if experiment.bounces:
+        raise InputError(
+            f"render.bounces: found {experiment.bounces}, allowed 0 for a moving press; set it to 0"
+        )
+
+
+def _check_matt(parts: tuple[Body, ...]) -> None:
+    sharp = [part.name for part in parts if part.material is not None and part.material.is_sharp]
+    if sharp:
+        raise InputError(
+            f"motion: found a clear or polished material of {', '.join(sharp)}, allowed matt or "
+            "rough ones: photons are traced for a scene at rest; use a rougher material, or "
+            "motion.time_s"
         )
 
 

@@ -12,7 +12,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from reconstruction.arrays import FloatArray, FloatImage
+from reconstruction.arrays import BoolImage, FloatArray, FloatImage, IntArray
 from reconstruction.errors import InputError
 from twin.optics.devices import Device
 from twin.optics.heights import MarchedHeights
@@ -264,6 +264,32 @@ class FrameLight:
         on_columns, on_rows = path.weight * row_outline, path.weight * column_outline
         return [light * on_columns for light in columns] + [light * on_rows for light in rows]
 
+    def value(self, path: Connection, frames: "int | IntArray") -> Any:
+        """Return the radiance that each path adds to one frame, by its number in the sequence.
+
+        Parameters
+        ----------
+        frames : frame of all paths, or of each; all of them along the same axis. They are data of
+            the kernel: one kernel computes all frames along an axis
+        """
+        numbers = np.atleast_1d(frames)
+        on_columns = self.is_along_columns(numbers[:1])[0]
+        tables = (self._columns, self._rows) if on_columns else (self._rows, self._columns)
+        places = (path.column_px, path.row_px) if on_columns else (path.row_px, path.column_px)
+        # The frames of a table ascend. Opaque: a number is no literal of the kernel's code.
+        shown = np.searchsorted(tables[0].frames, numbers).astype(np.uint32)
+        each = mi.UInt32(shown) if len(shown) > 1 else dr.opaque(mi.UInt32, int(shown[0]))
+        last = dr.opaque(mi.UInt32, tables[1].profiles - 1)
+        light, outline = (
+            table.profile_at(profile, place, path.axial_mm, path.lit)
+            for table, place, profile in zip(tables, places, (each, last), strict=True)
+        )
+        return path.weight * light * outline
+
+    def is_along_columns(self, frames: IntArray) -> BoolImage:
+        """Return True for frames (frame,) in the table of columns: uniform ones, or by column."""
+        return np.isin(frames, self._columns.frames)
+
 
 def _on_device(table: LightTable) -> "_LookUpTable":
     return _LookUpTable(table) if table.levels is None else _DefocusedTable(table, table.levels)
@@ -278,6 +304,7 @@ class _LookUpTable:
     def __init__(self, table: LightTable) -> None:
         self.nodes, self.profiles = table.profiles.shape
         self.first_px, self.packets = table.first_px, -(-self.profiles // _PACKET)
+        self.frames = table.frames
         self.values = self._padded(table.profiles)
 
     def _padded(self, profiles: FloatImage) -> Any:
@@ -296,6 +323,18 @@ class _LookUpTable:
             b = dr.gather(mi.Vector4f, self.values, index + self.packets, inside)
             values += [dr.fma(a[i], lower, b[i] * upper) for i in range(_PACKET)]
         return values[: self.profiles]
+
+    def profile_at(self, profile: Any, position_px: Any, _axial_mm: Any, active: Any) -> Any:
+        """Return one profile at a projector coordinate, interpolated; 0 outside the table."""
+        node, upper, inside = self._between_nodes(position_px, active)
+        return self._along_nodes(node, upper, inside, profile)
+
+    def _along_nodes(self, row: Any, upper: Any, inside: Any, profile: Any) -> Any:
+        """Return a profile between a row of the padded values and the next one."""
+        width = self.packets * _PACKET
+        index = dr.fma(row, width, profile)
+        a, b = (dr.gather(mi.Float, self.values, at, inside) for at in (index, index + width))
+        return dr.lerp(a, b, upper)
 
     def _between_nodes(self, position_px: Any, active: Any) -> tuple[Any, Any, Any]:
         """Return the lower node, the weight of the upper node, and True inside the table."""
@@ -331,6 +370,16 @@ class _DefocusedTable(_LookUpTable):
             packet_values = dr.lerp(dr.lerp(a, b, upper), dr.lerp(c, d, upper), blurred)
             values += [packet_values[i] for i in range(_PACKET)]
         return values[: self.profiles]
+
+    def profile_at(self, profile: Any, position_px: Any, axial_mm: Any, active: Any) -> Any:
+        """Return one profile at a projector coordinate and axial distance; 0 outside the table."""
+        node, upper, inside = self._between_nodes(position_px, active)
+        level, blurred = self._between_levels(axial_mm, inside)
+        lower, higher = (
+            self._along_nodes(dr.fma(at, self.nodes, node), upper, inside, profile)
+            for at in (level, level + 1)
+        )
+        return dr.lerp(lower, higher, blurred)
 
     def _between_levels(self, axial_mm: Any, active: Any) -> tuple[Any, Any]:
         """Return the lower blur level at an axial distance, and the weight of the next level."""

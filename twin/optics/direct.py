@@ -4,11 +4,12 @@ The foremost point of the specimen is at world z = 0, the plane of the coat in t
 matte stage is below the specimen.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from reconstruction.arrays import FloatArray
 from twin.config.models import Experiment, Material
 from twin.optics.bsdfs import level
 from twin.optics.checks import check_materials
@@ -55,6 +56,8 @@ class Solid:
 def solids(experiment: Experiment) -> tuple[Solid, ...]:
     """Return the stage and every part of the specimen; normals are smooth except at creases.
 
+    All are displaced to the instant `motion.time_s`, if the experiment states one.
+
     Raises
     ------
     InputError : a part of the specimen has no material
@@ -62,12 +65,13 @@ def solids(experiment: Experiment) -> tuple[Solid, ...]:
     parts = bodies(experiment.specimen, 0.0)
     check_materials(parts)
     lowest_mm = min(float(part.mesh.bounds[0, 2]) for part in parts)
+    pose = experiment.motion.pose
     return (
-        _stage(experiment, lowest_mm - AIR_GAP_MM),
+        _displaced(_stage(experiment, lowest_mm - AIR_GAP_MM), pose),
         *(
             Solid(
                 f"part_{k}_{part.name}",
-                _smooth(part.mesh),
+                _smooth(part.mesh).apply_transform(pose),
                 part.material.bsdf(),
                 part.material,
             )
@@ -123,6 +127,10 @@ def _stage(experiment: Experiment, z_mm: float) -> Solid:
         process=False,
     )
     return Solid(STAGE, mesh, {"type": "diffuse", "reflectance": level(experiment.stage.albedo)})
+
+
+def _displaced(solid: Solid, pose: FloatArray) -> Solid:
+    return replace(solid, mesh=solid.mesh.copy().apply_transform(pose))
 
 
 def _smooth(mesh: "trimesh.Trimesh") -> "trimesh.Trimesh":

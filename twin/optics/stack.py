@@ -64,6 +64,32 @@ class TraceMaps:
 
 
 @dataclass(frozen=True)
+class MotionAccuracy:
+    """How the frames of a moving scene were computed, and their error.
+
+    The errors are those of random pixels of random frames against their own trace, with one more
+    time in each exposure. They exclude light between surfaces.
+
+    Attributes
+    ----------
+    moments : number of instants at which all pixels were traced
+    exposure_nodes : times in each exposure over which the light is integrated
+    crossed_share : share of the lit pixels that cross an edge, or more, during the sequence
+    radiance_rms_percent : error of the radiance, percent of the mean radiance in white light
+    coordinate_rms_px : error of the projector column of smooth pixels
+    moved_px : median change of a pixel's projector coordinate from the first to the last moment, of
+        the axis with the larger change
+    """
+
+    moments: int
+    exposure_nodes: int
+    crossed_share: float
+    radiance_rms_percent: float
+    coordinate_rms_px: float
+    moved_px: float
+
+
+@dataclass(frozen=True)
 class RadianceStack:
     """Radiance of all frames of one pattern sequence, before the camera model is applied.
 
@@ -72,11 +98,13 @@ class RadianceStack:
     frames : tuple of (row, col) float32, mW / (mm^2 sr); mean radiance of each camera pixel, in the
         order of the sequence. The frames are separate arrays, because a full-size stack has 600 MB
         and the camera model processes one frame at a time.
-    truth : true geometry at each pixel centre
+    truth : true geometry at each pixel centre; of a moving scene that of the sequence's middle
+    motion : error of the frames of a moving scene; None: the scene is at rest
     """
 
     frames: Frames
     truth: Truth
+    motion: MotionAccuracy | None = None
 
 
 Images = TypeVar("Images", Truth, TraceMaps)

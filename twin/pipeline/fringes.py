@@ -21,11 +21,12 @@ from twin.camera import NoiseFunction, expose
 from twin.camera.noise_function import name_of
 from twin.config import digest, require_experiment
 from twin.config.digest import content_digest
+from twin.config.instant import experiment_at
 from twin.config.models import Experiment
 from twin.config.sensor_layer import SensorLayer
 from twin.mechanics import PressedElastomer
-from twin.mechanics.relief import MATERIAL_MM, face_grid
-from twin.optics.checks import check_direct_engine, check_stack_size
+from twin.mechanics.relief import MATERIAL_MM, FaceGrid, face_grid
+from twin.optics.checks import check_direct_engine, check_motion, check_stack_size
 from twin.optics.light import pattern_set
 from twin.optics.rig import true_calibration
 from twin.optics.session import renderer_session
@@ -37,6 +38,7 @@ from twin.pipeline.press import PressedFace, glinting_material_mm, press
 from twin.pipeline.progress import Stopwatch
 from twin.results.figures import Metrics
 from twin.results.layout import layout_warnings
+from twin.results.motion import motion_warnings
 from twin.results.parts import taken_figures
 from twin.results.record import Fringes, Measurement, Recording
 from twin.results.score import metrics, order_warnings, score
@@ -136,6 +138,7 @@ def evaluate(
     figures["warnings"] += noise_warnings(experiment, noise)
     figures["warnings"] += decoding_warnings(experiment)
     figures["warnings"] += layout_warnings(experiment)
+    figures["warnings"] += motion_warnings(experiment, recording.radiance.motion)
     figures["warnings"] += sequence_warnings(experiment, recording.exposure_ms)
     figures["warnings"] += order_warnings(experiment, reconstruction, recording.truth)
     return Measurement(
@@ -193,9 +196,10 @@ def record(
     Raises
     ------
     InputError : the coat is seen through a gel (contact-face layout) that the experiment does not
-        describe
+        describe, or the specimen moves
     MissingBackend : there is no usable Dr.Jit backend
     """
+    _check_given_face(experiment)
     run = RunContext.alone(clock, trial)
     if memory is not None:
         run = replace(run, memory=memory)
@@ -221,6 +225,7 @@ def render(
     """
     require_experiment(experiment)
     require_instance("face", face, Trimesh, "give a mesh: twin.mechanics.face_mesh(pressed)")
+    _check_given_face(experiment)
     with renderer_session():
         from twin.pipeline import trace
 
@@ -305,6 +310,14 @@ def noise_warnings(experiment: Experiment, noise: NoiseFunction | None) -> list[
     ]
 
 
+def _check_given_face(experiment: Experiment) -> None:
+    if experiment.motion.moves:
+        raise InputError(
+            "motion: found a motion, allowed a scene at rest with a face that was pressed before; "
+            "remove [motion], or measure the experiment (twin measure), which presses each moment"
+        )
+
+
 def check_layers(experiment: Experiment) -> None:
     """Check that the gel in front of a coat is among the layers of the experiment.
 
@@ -371,6 +384,7 @@ def loaded(
     """
     check = check_direct_engine if pressed is None else check_layers
     check(experiment)
+    check_motion(experiment)
     with renderer_session():
         from twin.pipeline import trace
 
@@ -422,6 +436,8 @@ def _lit(
     from twin.pipeline import trace
 
     scene, view = geometry.value, viewed(experiment, geometry, memory)
+    if experiment.motion.moves:
+        return _lit_in_motion(experiment, geometry, view, memory, progress)
     # Without an aperture blur is equal at all distances, so the tables do not depend on the view.
     depth = view.token if experiment.projector.aperture_mm else ()
     tables = memory.recall(
@@ -449,4 +465,27 @@ def _lit(
         experiment,
         (rays.token, photons.token, tables.token),
         lambda watched: trace.light(watched, scene, view.value, lit, progress),
+    )
+
+
+def _lit_in_motion(
+    experiment: Experiment,
+    geometry: "CachedResult[Geometry]",
+    view: "CachedResult[View]",
+    memory: Memory,
+    progress: Progress,
+) -> CachedResult[RadianceStack]:
+    with renderer_session():
+        from twin.pipeline import moving
+
+    def face_at(time_s: float) -> FaceGrid:
+        return face_grid(press(experiment_at(experiment, time_s), Memory()).pressed)
+
+    # A press at another time reads further fields of the experiment, which identify the frames.
+    inputs = view.token if geometry.value.face is None else (view.token, digest(experiment))
+    return memory.recall(
+        "frames",
+        experiment,
+        inputs,
+        lambda watched: moving.light_moving(watched, geometry.value, view.value, face_at, progress),
     )

@@ -183,7 +183,7 @@ def light(
     """
     # Pixels at edges, and reflections between surfaces, are traced here, and depend on the coat.
     dress(experiment, geometry)
-    bounces = _bounces(experiment, geometry, traced)
+    bounces = bounces_of(experiment, geometry, traced.photons, traced.tables)
     frames = trace_stack(
         geometry.scene,
         view.rig,
@@ -238,14 +238,18 @@ def dress(experiment: Experiment, geometry: Geometry) -> None:
         geometry.scene.set_coating(coating_in_layer(experiment))
 
 
-def _bounces(experiment: Experiment, geometry: Geometry, traced: Traced) -> Bounces | None:
+def bounces_of(
+    experiment: Experiment,
+    geometry: Geometry,
+    photons: Photons | None,
+    tables: dict[str, LightTable],
+) -> Bounces | None:
     """Return the settings of light reflected between surfaces.
 
     None for a coat if the experiment requests no such reflections.
     """
     if geometry.face is None:
-        photons = traced.photons
-        received = None if photons is None else StageLight(map_photons(photons, traced.tables))
+        received = None if photons is None else StageLight(map_photons(photons, tables))
         most, paths = experiment.bounces, experiment.render.bounce_paths
         return Bounces(most, paths, _direct_seeds(experiment)[1], geometry.surfaces, received)
     if not experiment.bounces:

@@ -16,6 +16,7 @@ from twin.results.bound import bound_names, has_bound
 from twin.results.compensated import slab_bound_name, slab_name
 from twin.results.features import bars_of, feature_of, features_of
 from twin.results.figures import COMPENSATED
+from twin.results.motion import MOTION_FIGURES
 from twin.results.object_points import is_covered
 from twin.results.object_score import (
     MeasuredQuantity,
@@ -106,6 +107,7 @@ def figure_names(experiment: Experiment) -> set[str]:
     score = FringeScore if method.fringes else HeightScore
     names = {field.name for field in fields(score)} | set(_ALWAYS)
     names |= set(_OF_A_RECORDING) if method.fringes else set()
+    names |= set(MOTION_FIGURES) if experiment.motion.moves else set()
     names |= set(OF_A_PRESS) if method.presses else set()
     balls = len(shape_of(experiment.specimen).spheres())
     for region in ("", *(region_name(radius) for radius in experiment.score.regions_mm)):

@@ -39,6 +39,7 @@ from twin.mechanics import (
 from twin.optics.stack import Truth
 from twin.output import EXPERIMENT_FILE, write_json, write_outcome
 from twin.results.figures import Metric, Metrics
+from twin.results.motion import motion_figures
 from twin.results.nuts import nut_figures
 from twin.results.record import Recording
 from twin.results.rods import rod_figures
@@ -219,7 +220,7 @@ def taken_figures(
     """Return the figures of press (None: no press) and recording by name."""
     figures: dict[str, Metric] = {"warnings": []} if pressed is None else press_metrics(pressed)
     sequence = {"sequence_ms": sequence_ms(experiment, recording.exposure_ms)}
-    return figures | recording_metrics(recording) | sequence
+    return figures | recording_metrics(recording) | sequence | motion_figures(recording.radiance)
 
 
 def write_taken(

@@ -16,6 +16,7 @@ from reconstruction.arrays import Levels
 from reconstruction.errors import InputError
 from reconstruction.patterns import PERIOD_RANGE_PX
 from twin.config import Experiment, vary
+from twin.config.instant import experiment_at
 from twin.config.loading import as_built
 from twin.mechanics import PressedElastomer
 from twin.mechanics.choice import preview_with
@@ -93,7 +94,7 @@ class Preview:
         full, pixels_per_pixel = vary(self._full, changes), self._merged**2
         exposure_ms = full.camera.exposure_ms
         exposed = {} if exposure_ms == "auto" else {EXPOSURE: exposure_ms / pixels_per_pixel}
-        experiment = vary(self._quick, {**changes, **exposed})
+        experiment = experiment_at(vary(self._quick, {**changes, **exposed}), 0.0)
         pressed = self._pressed(full, experiment)
         recording = record(experiment, pressed, memory=self._memory)
         patterns, stack = recording.capture.patterns, recording.capture.stack
