@@ -16,9 +16,12 @@ from reconstruction.patterns import PatternSet
 from reconstruction.rig.projected_light import ProjectorResponse
 from reconstruction.rig.sensor import SensorNoise
 from twin.config import load_experiment
+from twin.config.digest import content_digest
 from twin.config.models import Patterns
 from twin.config.schema import validated
 from twin.optics.light import OVERSAMPLING, along, light_tables, pattern_set
+from twin.pipeline.fringes import decoding_warnings
+from twin.results.bound import has_bound
 
 FRINGES = {
     "heterodyne": {"period_px": 14.0, "further_periods_px": [15.0]},
@@ -133,6 +136,23 @@ def test_projected_steppings_are_decoded(projector, case):
     column_error = (decoded.column.coordinate_px - column_px[None, :])[inside][valid]
     row_error = (decoded.row.coordinate_px - row_px[:, None])[inside][valid]
     assert max(np.abs(column_error).max(), np.abs(row_error).max()) < 0.05
+
+
+def test_reduced_frames_have_no_bound_and_a_single_frame_a_warning():
+    """Why: the bound is that of the least squares of all frames, without loss of relief."""
+    pairs, cyclic, single = (
+        load_experiment("examples/slab_balls", {"patterns.stepping": name, "patterns.steps": steps})
+        for name, steps in (("quarter_pairs", 8), ("cyclic", 6), ("single", 1))
+    )
+    assert [has_bound(experiment) for experiment in (pairs, cyclic, single)] == [True, False, False]
+    assert decoding_warnings(pairs) == decoding_warnings(cyclic) == []
+    assert "single frame smooths relief" in decoding_warnings(single)[0]
+
+
+def test_later_fields_at_their_default_keep_the_digest_of_a_pattern_set():
+    """Expected: the digest before `stepping` and `waveform` existed."""
+    assert content_digest(PatternSet(160, 100, 16.0, 4)) == "55763f605d94836e"
+    assert content_digest(PatternSet(160, 100, 16.0, 4, stepping="cyclic")) != "55763f605d94836e"
 
 
 def test_configuration_and_decoder_have_the_same_fields():

@@ -286,13 +286,19 @@ def expose_capture(
 
 
 def decoding_warnings(experiment: Experiment) -> list[str]:
-    """Return a warning if the rig has layers and the reconstruction neglects their refraction."""
-    if experiment.decode.through_layers or not experiment.layers:
-        return []
-    return [
-        "the decoder takes the layers for air, and its heights, widths and radii are wrong by the "
-        "refraction of the rays; set decode.through_layers = true"
-    ]
+    """Return warnings about refraction that is neglected, and about relief that one frame loses."""
+    warnings = []
+    if experiment.layers and not experiment.decode.through_layers:
+        warnings.append(
+            "the decoder takes the layers for air, and its heights, widths and radii are wrong by"
+            " the refraction of the rays; set decode.through_layers = true"
+        )
+    if experiment.patterns.stepping == "single":
+        warnings.append(
+            "the Fourier transform of a single frame smooths relief finer than about 2.5 fringes,"
+            " and standard deviations do not include it; choose a shorter patterns.period_px"
+        )
+    return warnings
 
 
 def noise_warnings(experiment: Experiment, noise: NoiseFunction | None) -> list[str]:
