@@ -4,6 +4,7 @@ Layouts follow files of these programs: header, order of the elements, number fo
 Variants of STL that bend the format are those that common readers accept.
 """
 
+import re
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -184,11 +185,18 @@ LAYOUTS: dict[str, Callable[[trimesh.Trimesh, np.random.Generator], bytes]] = {
     "stl Fortran exponents": lambda solid, _: text(solid, _fortran).encode(),
     "stl two solids": _two_solids,
     "stl byte order mark": lambda solid, _: b"\xef\xbb\xbf" + text(solid).encode(),
+    "stl UTF-16": lambda solid, _: text(solid).encode("utf-16"),
+    "stl zeros at the end": lambda solid, _: text(solid).encode() + bytes(100),
+    "stl named like a vertex": lambda solid, _: text(solid).replace("part", "vertex 12").encode(),
     "obj Blender": _obj_of_blender,
+    "obj old Macintosh lines": lambda solid, rng: _obj_of_blender(solid, rng).replace(b"\n", b"\r"),
     "obj MeshLab, counted backwards": _obj_counted_backwards,
     "ply MeshLab text": lambda solid, _: _ply(solid, "ascii", "float", "red"),
     "ply MeshLab": lambda solid, _: _ply(solid, "binary_little_endian", "float", "red"),
     "ply big-endian, double": lambda solid, _: _ply(solid, "binary_big_endian", "double", "flags"),
+    "stl facets of four, rejected": lambda solid, _: re.sub(
+        r"(\s+vertex [^\n]+)(\s+endloop)", r"\1\1\2", text(solid)
+    ).encode(),
     "stl open, rejected": lambda solid, _: binary(_open(solid)),
     "stl cut, rejected": lambda solid, _: binary(solid)[:-20],
     "stl text cut, rejected": lambda solid, _: text(solid).encode()[: -len(text(solid)) // 3],
