@@ -89,8 +89,8 @@ def text(
     return "\n".join([*lines, "endsolid part", ""])
 
 
-def _one_step_apart(solid: trimesh.Trimesh, rng: np.random.Generator) -> bytes:
-    """Return a file whose triangles have corners that differ in the last binary digit."""
+def _one_step_moved(solid: trimesh.Trimesh, rng: np.random.Generator) -> bytes:
+    """Return a file with corners that differ in the last binary digit."""
     corners = np.asarray(solid.triangles, np.float32)
     direction = np.where(rng.random(corners.shape) < 0.5, -np.inf, np.inf).astype(np.float32)
     moved = np.where(rng.random(corners.shape) < 0.2, np.nextafter(corners, direction), corners)
@@ -164,7 +164,7 @@ def _fortran(value: float) -> str:
 # The first word is the suffix of the file.
 LAYOUTS: dict[str, Callable[[trimesh.Trimesh, np.random.Generator], bytes]] = {
     "stl Blender": lambda solid, _: binary(solid),
-    "stl header begins with solid": lambda solid, _: binary(solid, b"solid part, exported"),
+    "stl header starts with solid": lambda solid, _: binary(solid, b"solid part, exported"),
     "stl Magics with colours": lambda solid, _: binary(
         solid, b"COLOR=\xb4\xb4\xb4\xff", None, 4097
     ),
@@ -173,7 +173,7 @@ LAYOUTS: dict[str, Callable[[trimesh.Trimesh, np.random.Generator], bytes]] = {
     "stl count too large": lambda solid, _: binary(solid, count=len(solid.faces) + 3),
     "stl bytes at the end": lambda solid, rng: binary(solid) + rng.bytes(int(rng.integers(1, 99))),
     "stl a record of zeros at the end": lambda solid, _: binary(solid) + bytes(50),
-    "stl one step apart": _one_step_apart,
+    "stl corners differ by one step": _one_step_moved,
     "stl OpenSCAD": lambda solid, _: text(solid).encode(),
     "stl SolidWorks": lambda solid, _: text(solid, "{:.8e}".format, "   ").encode(),
     "stl Windows lines": lambda solid, _: text(solid).replace("\n", "\r\n").encode(),

@@ -34,7 +34,7 @@ def test_a_file_with_a_damaged_triangle_is_rejected(tmp_path, name, content, mes
         read_closed_mesh("specimen.file", str(tmp_path / name))
 
 
-def test_corners_further_apart_than_rounding_stay_apart(tmp_path):
+def test_corners_more_than_rounding_from_each_other_are_not_merged(tmp_path):
     """Why: a hole that is wider than the numbers' last digit is a fault of the body."""
     corners = np.asarray(BOX.triangles, np.float32)
     corners[0, 0] += 1e-4
@@ -54,7 +54,7 @@ def test_open_bodies_far_from_the_origin_keep_their_shape(tmp_path, offset):
         read_closed_mesh("specimen.file", str(tmp_path / "far.stl"))
 
 
-def test_many_vertices_at_nearly_one_position_stay_apart():
+def test_many_vertices_at_nearly_one_position_are_not_merged():
     """Why: all pairs of them would fill the memory."""
     dense = np.linspace(0.0, 1e-6, 300)[:, None] * [1.0, 0.0, 0.0]
     vertices = np.vstack([dense, [[10.0, 10.0, 10.0]]])

@@ -1,6 +1,6 @@
 """Triangles of STL files, also of files that bend the format as other readers accept.
 
-- Binary files may have a header that begins with "solid", a count of 0 or another wrong count, and
+- Binary files may have a header that starts with "solid", a count of 0 or another wrong count, and
   further bytes at the end.
 - Text files may have any case, line ends and indentation, no `endsolid`, several solids, decimal
   commas, exponents such as 1.0D+00, UTF-16 characters, and zero bytes at the end.
