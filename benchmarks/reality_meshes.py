@@ -24,7 +24,7 @@ FILES, QUICK_FILES = 300, 60
 CLOSE = 1e-6
 CASES = Path(__file__).parents[2] / "shared" / "cases" / "08_meshes"
 # Volume, cubic units of the file, and its relative tolerance: two boxes by the corners in their
-# files, and a ball of 6 mm in metres, whose 5120 triangles enclose 0.2 % less than the ball.
+# files, and a ball of 6 mm in metres; its 5120 triangles enclose 0.2 % less than the ball.
 PUBLIC = {
     "blendercube.obj": (64.0, 1e-6),
     "charuco_board.obj": (7.2e-4, 1e-6),

@@ -4,6 +4,7 @@ Layouts follow files of these programs: header, order of the elements, number fo
 Variants of STL that bend the format are those that common readers accept.
 """
 
+import re
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -88,8 +89,8 @@ def text(
     return "\n".join([*lines, "endsolid part", ""])
 
 
-def _one_step_apart(solid: trimesh.Trimesh, rng: np.random.Generator) -> bytes:
-    """Return a file whose triangles have corners that differ in the last binary digit."""
+def _one_step_moved(solid: trimesh.Trimesh, rng: np.random.Generator) -> bytes:
+    """Return a file with corners that differ in the last binary digit."""
     corners = np.asarray(solid.triangles, np.float32)
     direction = np.where(rng.random(corners.shape) < 0.5, -np.inf, np.inf).astype(np.float32)
     moved = np.where(rng.random(corners.shape) < 0.2, np.nextafter(corners, direction), corners)
@@ -163,7 +164,7 @@ def _fortran(value: float) -> str:
 # The first word is the suffix of the file.
 LAYOUTS: dict[str, Callable[[trimesh.Trimesh, np.random.Generator], bytes]] = {
     "stl Blender": lambda solid, _: binary(solid),
-    "stl header begins with solid": lambda solid, _: binary(solid, b"solid part, exported"),
+    "stl header starts with solid": lambda solid, _: binary(solid, b"solid part, exported"),
     "stl Magics with colours": lambda solid, _: binary(
         solid, b"COLOR=\xb4\xb4\xb4\xff", None, 4097
     ),
@@ -172,7 +173,7 @@ LAYOUTS: dict[str, Callable[[trimesh.Trimesh, np.random.Generator], bytes]] = {
     "stl count too large": lambda solid, _: binary(solid, count=len(solid.faces) + 3),
     "stl bytes at the end": lambda solid, rng: binary(solid) + rng.bytes(int(rng.integers(1, 99))),
     "stl a record of zeros at the end": lambda solid, _: binary(solid) + bytes(50),
-    "stl one step apart": _one_step_apart,
+    "stl corners differ by one step": _one_step_moved,
     "stl OpenSCAD": lambda solid, _: text(solid).encode(),
     "stl SolidWorks": lambda solid, _: text(solid, "{:.8e}".format, "   ").encode(),
     "stl Windows lines": lambda solid, _: text(solid).replace("\n", "\r\n").encode(),
@@ -184,11 +185,18 @@ LAYOUTS: dict[str, Callable[[trimesh.Trimesh, np.random.Generator], bytes]] = {
     "stl Fortran exponents": lambda solid, _: text(solid, _fortran).encode(),
     "stl two solids": _two_solids,
     "stl byte order mark": lambda solid, _: b"\xef\xbb\xbf" + text(solid).encode(),
+    "stl UTF-16": lambda solid, _: text(solid).encode("utf-16"),
+    "stl zeros at the end": lambda solid, _: text(solid).encode() + bytes(100),
+    "stl named like a vertex": lambda solid, _: text(solid).replace("part", "vertex 12").encode(),
     "obj Blender": _obj_of_blender,
+    "obj old Macintosh lines": lambda solid, rng: _obj_of_blender(solid, rng).replace(b"\n", b"\r"),
     "obj MeshLab, counted backwards": _obj_counted_backwards,
     "ply MeshLab text": lambda solid, _: _ply(solid, "ascii", "float", "red"),
     "ply MeshLab": lambda solid, _: _ply(solid, "binary_little_endian", "float", "red"),
     "ply big-endian, double": lambda solid, _: _ply(solid, "binary_big_endian", "double", "flags"),
+    "stl facets of four, rejected": lambda solid, _: re.sub(
+        r"(\s+vertex [^\n]+)(\s+endloop)", r"\1\1\2", text(solid)
+    ).encode(),
     "stl open, rejected": lambda solid, _: binary(_open(solid)),
     "stl cut, rejected": lambda solid, _: binary(solid)[:-20],
     "stl text cut, rejected": lambda solid, _: text(solid).encode()[: -len(text(solid)) // 3],

@@ -30,8 +30,15 @@ _SIZE_MM = 0.1, 1000.0
 # volume has no interior.
 _LEAST_FILL = 1e-8
 # Vertices of a surface with open edges are the same if they differ by less than this number of
-# steps of single precision at the largest coordinate.
+# steps of single precision at the largest coordinate, and by less than this share of its size: far
+# from the origin single precision is coarser than the details of the body.
 _ROUNDING_STEPS = 4.0
+_MOST_ROUNDING = 1e-4
+# Values within 2 steps of a corner: 5 in each of 3 directions. More vertices that close together
+# are details of the body, and their pairs could fill the memory.
+_MOST_VALUES = 125
+# Formats of CAD programs and of 3D printing that people try first.
+_EXPORT_FROM = (".step", ".stp", ".iges", ".igs", ".3mf", ".sldprt", ".fcstd", ".blend", ".glb")
 
 
 def read_closed_mesh(key: str, name: str) -> "trimesh.Trimesh":
@@ -50,6 +57,8 @@ def read_closed_mesh(key: str, name: str) -> "trimesh.Trimesh":
     path = _find(key, name)
     content = read_bytes(path, _MOST_BYTES).removeprefix(codecs.BOM_UTF8)
     kind = path.suffix[1:].lower()
+    if kind == "obj" and b"\n" not in content:
+        content = content.replace(b"\r", b"\n")
     if kind == "obj" and _NUMBERED_FROM_0.search(content):
         raise InputError(
             f"{key}: {path}: a face refers to vertex 0, but OBJ indices start at 1; export it again"
@@ -150,10 +159,14 @@ def _same_position(vertices: FloatArray) -> IntArray:
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import KDTree
 
-    distance = _ROUNDING_STEPS * float(np.finfo(np.float32).eps * np.abs(vertices).max())
-    pairs = KDTree(vertices).query_pairs(distance, output_type="ndarray")
-    size = len(vertices)
-    links = coo_matrix((np.ones(len(pairs)), pairs.T), shape=(size, size))
+    count = len(vertices)
+    step = float(np.finfo(np.float32).eps * np.abs(vertices).max())
+    distance = min(_ROUNDING_STEPS * step, _MOST_ROUNDING * float(np.ptp(vertices, axis=0).max()))
+    tree = KDTree(vertices)
+    if tree.count_neighbors(tree, distance) > _MOST_VALUES * count:
+        return np.arange(count)
+    pairs = tree.query_pairs(distance, output_type="ndarray")
+    links = coo_matrix((np.ones(len(pairs)), pairs.T), shape=(count, count))
     _, group = connected_components(links, directed=False)
     _, first = np.unique(group, return_index=True)
     return np.asarray(first[group])
@@ -181,6 +194,8 @@ def _require_numbers(where: str, surface: object) -> None:
 
 def _require_closed(where: str, surface: "trimesh.Trimesh") -> None:
     """Raise InputError if a surface is not closed, not oriented or without volume."""
+    if not len(surface.faces):
+        raise InputError(f"{where}: all triangles are lines or points; export it again")
     if not surface.is_watertight:
         import trimesh
 
@@ -205,5 +220,6 @@ def _find(key: str, name: str) -> Path:
         fault = "not a file" if path.exists() else "no such file"
         raise InputError(f"{key}: {name}: {fault}")
     if path.suffix.lower() not in _FILE_TYPES:
-        raise InputError(f"{key}: {name}: not a mesh, allowed: {', '.join(_FILE_TYPES)}")
+        remedy = "; export one of them" if path.suffix.lower() in _EXPORT_FROM else ""
+        raise InputError(f"{key}: {name}: not a mesh, allowed: {', '.join(_FILE_TYPES)}{remedy}")
     return path

@@ -1,13 +1,14 @@
 """Triangles of STL files, also of files that bend the format as other readers accept.
 
-- Binary files may have a header that begins with "solid", a count of 0 or another wrong count, and
+- Binary files may have a header that starts with "solid", a count of 0 or another wrong count, and
   further bytes at the end.
 - Text files may have any case, line ends and indentation, no `endsolid`, several solids, decimal
-  commas, and exponents such as 1.0D+00.
+  commas, exponents such as 1.0D+00, UTF-16 characters, and zero bytes at the end.
 
 An STL file repeats the corners of its triangles; `twin.specimens.mesh_files` merges them.
 """
 
+import codecs
 import re
 import struct
 from collections.abc import Iterator
@@ -22,6 +23,8 @@ _RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribut
 _NUMBER = rb"([-+]?(?:[\d.,]+(?:[ed][-+]?\d+)?|nan|inf(?:inity)?))"
 _VERTEX = re.compile(rb"\bvertex[\s;]+" + rb"[\s;]+".join([_NUMBER] * 3))
 _WORD = re.compile(rb"\bvertex[\s;]+[-+.\d]")
+_LOOP = re.compile(rb"\bouter\s+loop\b")
+_NAME = re.compile(rb"solid\b(?:(?!\bfacet\b)[^\r\n])*")
 
 
 def stl_candidates(where: str, content: bytes) -> Iterator[FloatArray]:
@@ -41,12 +44,16 @@ def stl_candidates(where: str, content: bytes) -> Iterator[FloatArray]:
 
     Raises
     ------
-    InputError : the file ends within a triangle, or a vertex has no three numbers
+    InputError : the file ends within a triangle, a vertex has no three numbers, or a facet no three
+        vertices
     """
-    if b"\0" in content or b"vertex" not in content[: 2**16].lower():
-        yield from _binary(where, content)
+    if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        content = content.decode("utf-16", "replace").encode()
+    head = content[: 2**16].lower()
+    if _VERTEX.search(head) or (b"vertex" in head and b"\0" not in content):
+        yield _text(where, _NAME.sub(b"", content.lower()))
     else:
-        yield _text(where, content.lower())
+        yield from _binary(where, content)
 
 
 def _binary(where: str, content: bytes) -> Iterator[FloatArray]:
@@ -71,6 +78,12 @@ def _text(where: str, content: bytes) -> FloatArray:
     vertices = _VERTEX.findall(content)
     if len(vertices) != len(_WORD.findall(content)):
         raise InputError(f"{where}: found a vertex without three numbers; export it again")
+    loops = len(_LOOP.findall(content))
+    if loops and len(vertices) != 3 * loops:
+        raise InputError(
+            f"{where}: found {len(vertices)} vertices in {loops} facets, allowed: 3 for each; copy"
+            " or export it again, as triangles"
+        )
     if not vertices or len(vertices) % 3:
         raise InputError(
             f"{where}: found {len(vertices)} vertices, no whole number of triangles; copy or export"
