@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from reconstruction.drawing import Drawing
-from reconstruction.photometric.sensor import HeightMap
+from reconstruction.photometric.height_map import HeightMap
 from reconstruction.writing import write_bytes
 
 _ACROSS, _MOST = 4, 24

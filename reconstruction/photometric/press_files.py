@@ -15,6 +15,7 @@ from reconstruction.netcdf import (
     write_arrays,
 )
 from reconstruction.photometric.calibration_ball import BallPress
+from reconstruction.photometric.height_map import HeightMap
 from reconstruction.photometric.images import mean_background
 from reconstruction.photometric.presentation import SLOPES, height_arrays
 from reconstruction.photometric.press_description import (
@@ -25,8 +26,8 @@ from reconstruction.photometric.press_description import (
     read_press_description,
 )
 from reconstruction.photometric.press_doubts import doubts_of_background, doubts_of_image
+from reconstruction.photometric.rest_surface import RestSurface
 from reconstruction.photometric.sensor import (
-    HeightMap,
     PhotometricDecoder,
     SensorCalibration,
     UntouchedGel,
@@ -245,7 +246,8 @@ def read_height_map(path: Path | str) -> HeightMap:
         maps = {name: stored[name] for name in (*SLOPES, "height_mm", "mask_reason")}
         slopes = np.stack([maps[name] for name in SLOPES])
         pitch_mm = float(stored.attrs["pitch_mm"])
-        return HeightMap(maps["height_mm"], slopes, maps["mask_reason"], pitch_mm)
+        rest = RestSurface.from_arrays({name: stored[name] for name in stored.variables})
+        return HeightMap(maps["height_mm"], slopes, maps["mask_reason"], pitch_mm, rest)
     except KeyError as error:
         raise CaptureError(f"{path}: no height map: {error} is missing") from error
 

@@ -6,7 +6,7 @@ heights.png the height maps. In both cases experiment.toml is the description, a
 sensor_calibration.npz the calibration for later measurements.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from reconstruction.photometric import (
     HeightMap,
     PhotometricReason,
     PhotometricResult,
+    SensorCalibration,
     described_presses,
     write_height_map,
     write_height_points,
@@ -94,9 +95,15 @@ def reconstruct_presses(
         write_text(folder / EXPERIMENT_FILE, text)
         write_sensor_calibration(folder / CALIBRATION_FILE, presses.decoder.calibration)
         files = [_content(file) for file in presses.files if file.is_file()]
-        named = content_digest(text, files, presses.decoder.calibration)
+        named = content_digest(text, files, _arrays_of(presses.decoder.calibration))
         write_outcome(folder, "reconstruct", outcome.figures, digest=named)
     return outcome
+
+
+def _arrays_of(calibration: SensorCalibration) -> list[Any]:
+    """Return the values of a calibration, for its digest; that of a flat gel has no rest."""
+    values = [getattr(calibration, of.name) for of in fields(calibration) if of.name != "rest"]
+    return values if calibration.rest is None else [*values, calibration.rest]
 
 
 def _content(file: Path) -> NDArray[np.uint8]:
