@@ -37,8 +37,9 @@ from twin.config import load_experiment, seed_sequence
 from twin.config.lamps import CHANNELS
 from twin.optics.backed_coat import seen_face
 from twin.pipeline import Memory, measure, press_specimen
-from twin.pipeline.colours import calibrated_sensor, with_ball
+from twin.pipeline.colours import calibrated_sensor
 from twin.pipeline.comparison import PhotometricPlan, case_for
+from twin.pipeline.reference_presses import with_ball
 from twin.results.decoders import DecodedImage
 from twin.specimens.kinds.ball import Ball
 

@@ -29,7 +29,8 @@ from twin.config import Experiment
 from twin.config.lamps import CHANNELS
 from twin.optics.backed_coat import seen_face
 from twin.pipeline import press_specimen
-from twin.pipeline.colours import ColourSensor, with_ball
+from twin.pipeline.colours import ColourSensor
+from twin.pipeline.reference_presses import with_ball
 from twin.specimens.kinds.ball import Ball
 
 FILE = Path(__file__).with_name("real_presses.csv")

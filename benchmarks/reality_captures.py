@@ -2,9 +2,9 @@
 
     ./run bench reality_captures [--quick]
 
-200 generated folders (--quick: 21) of `tests/corpus/captures.py`, and the public captures of other
-programs where a folder holds them. A set is described with the projector's size, and decoded by
-this description without corrections.
+220 generated folders (--quick: 23) of `tests/corpus/captures.py`, and the public captures of other
+programs where a folder holds them. The last 20 show several fringes of one period. A set is
+described with the projector's size, and decoded by this description without corrections.
 
 - `described_right`: share of the sets of which at least 90 % of the lit pixels have the right
   coordinates along all axes, up to offset and scale, because images cannot show the size of a
@@ -28,12 +28,14 @@ from reconstruction.capture.frame_list import read_listed
 from reconstruction.capture.guess import guess
 from reconstruction.capture.guess_check import describe_and_test
 from reconstruction.capture.guess_file import require_groups
+from reconstruction.capture.spatial_guess import trial_reference
 from reconstruction.decoding.decode import DecodeOptions, decode
 from reconstruction.errors import InputError
 from reconstruction.writing import write_text
-from tests.corpus.captures import CapturedSet, write_captured_set
+from tests.corpus.captures import RELATIVE, CapturedSet, write_captured_set
 
 SETS, QUICK_SETS = 200, 21
+RELATIVE_SETS, QUICK_RELATIVE_SETS = 20, 2
 RIGHT_SHARE = 0.9
 CLOSE_PX = 1.5
 """Largest error of a right coordinate from phases."""
@@ -43,7 +45,7 @@ word at its blurred edges. Two exchanged bits cause errors of two words and more
 
 
 def main() -> None:
-    parser = quick_parser(__doc__ or "", "21 generated sets")
+    parser = quick_parser(__doc__ or "", "23 generated sets")
     print_figures(reality_captures(parser.parse_args().quick))
 
 
@@ -51,8 +53,12 @@ def reality_captures(quick: bool) -> dict[str, float]:
     """Describe and decode generated sets."""
     verdicts = []
     with tempfile.TemporaryDirectory() as folder:
-        for seed in range(QUICK_SETS if quick else SETS):
-            captured = write_captured_set(Path(folder) / f"set_{seed}", seed)
+        drawn = [(seed, "") for seed in range(QUICK_SETS if quick else SETS)]
+        drawn += [
+            (seed, RELATIVE) for seed in range(QUICK_RELATIVE_SETS if quick else RELATIVE_SETS)
+        ]
+        for seed, code in drawn:
+            captured = write_captured_set(Path(folder) / f"set_{seed}{code}", seed, code)
             verdicts.append(verdict_of(captured))
             if verdicts[-1] != "right":
                 print(f"{captured.text}: {verdicts[-1]}", flush=True)
@@ -86,10 +92,11 @@ def verdict_of(captured: CapturedSet) -> str:
 
 def _right_share(captured: CapturedSet, file: Path) -> float:
     """Return the share of the lit pixels with the right coordinates along all axes."""
-    options = DecodeOptions(filter_taps=0)
     try:
         recorded = read_listed(file).recorded(captured.folder)
         stack, _ = read_frames(recorded)
+        reference = trial_reference(stack, recorded.patterns, captured.lit)
+        options = DecodeOptions(filter_taps=0, reference=reference)
         decoded = decode(stack, recorded.patterns, recorded.sensor, options)
     except InputError:
         return 0.0

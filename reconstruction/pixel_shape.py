@@ -40,6 +40,11 @@ def width_over_height(pixel_ratio: PixelRatio) -> float:
     return 2.0 if pixel_ratio == DIAMOND else float(pixel_ratio)
 
 
+def pixels_per_column(pixel_ratio: PixelRatio, axis: str) -> float:
+    """Return the distance of the columns in pixels along an axis, "column" or "row"."""
+    return width_over_height(pixel_ratio) if axis == "row" else 1.0
+
+
 def smear_px(pixel_ratio: PixelRatio, axis: str) -> float:
     """Return the width, px, of the box that a pixel's shape adds to its box of width 1."""
     return _SMEARS_PX[axis] if pixel_ratio == DIAMOND else 0.0

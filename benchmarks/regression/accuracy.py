@@ -23,7 +23,7 @@ from twin.config.board import load_board
 from twin.pipeline import Memory, measure, press_specimen, record
 from twin.pipeline.calibration import calibrate_rendered
 from twin.pipeline.captures import options_of
-from twin.pipeline.colours import with_ball
+from twin.pipeline.reference_presses import with_ball
 from twin.results.score import Scores
 from twin.specimens.kinds.ball import Ball
 

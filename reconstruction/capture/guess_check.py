@@ -15,12 +15,14 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import chi2
 
+from reconstruction.arrays import BoolImage
 from reconstruction.capture.description import DESCRIPTION_FILE
 from reconstruction.capture.folder import read_frames
 from reconstruction.capture.frame_list import ListedSet, read_listed
-from reconstruction.capture.frame_order import ENOUGH, LEAST_LIT, sample_of
+from reconstruction.capture.frame_order import ENOUGH, LEAST_LIT, Sample, sample_of
 from reconstruction.capture.guess import Guess
 from reconstruction.capture.guess_file import written
+from reconstruction.capture.spatial_guess import trial_reference
 from reconstruction.decoding import DecodeOptions
 from reconstruction.decoding.continuity import (
     DOUBTFUL_SHARE,
@@ -29,7 +31,7 @@ from reconstruction.decoding.continuity import (
     turned_share,
 )
 from reconstruction.decoding.decode import decode
-from reconstruction.errors import CaptureError
+from reconstruction.errors import CaptureError, InputError
 from reconstruction.patterns import PatternSet
 from reconstruction.rig.sensor import SensorNoise
 from reconstruction.words import WORDS
@@ -172,7 +174,12 @@ def _tested(listed: ListedSet, folder: Path) -> DecodingCheck:
     sample = sample_of(stack, patterns, sensor, None)
     if np.count_nonzero(sample.is_lit) < LEAST_LIT:
         return DecodingCheck(why="too few pixels are lit")
-    decoded = decode(stack, patterns, sensor, DecodeOptions(filter_taps=0, frame_gains=False))
+    reference = trial_reference(stack, patterns, _lit_pixels(sample, stack.shape[1:]))
+    options = DecodeOptions(filter_taps=0, frame_gains=False, reference=reference)
+    try:
+        decoded = decode(stack, patterns, sensor, options)
+    except InputError as error:
+        return DecodingCheck(why=str(error))
     valid = decoded.valid[:: sample.stride, :: sample.stride][sample.is_lit]
     coordinates = {axis: getattr(decoded, axis).coordinate_px for axis in patterns.axes}
     jumps = [
@@ -187,6 +194,12 @@ def _tested(listed: ListedSet, folder: Path) -> DecodingCheck:
     turned = max(turned_share(x_px, decoded.valid) for x_px in coordinates.values())
     ratio = _noise_ratio(sample.stack[:, sample.is_lit].astype(np.float64), patterns, sensor)
     return DecodingCheck(float(np.mean(valid)), max(jumps), turned, ratio)
+
+
+def _lit_pixels(sample: Sample, shape: tuple[int, ...]) -> BoolImage:
+    """Return the lit pixels of a sample at the size of the image, (row, col) bool."""
+    whole = sample.is_lit.repeat(sample.stride, axis=0).repeat(sample.stride, axis=1)
+    return np.asarray(whole[: shape[0], : shape[1]])
 
 
 def _noise_ratio(

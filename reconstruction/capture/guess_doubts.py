@@ -5,12 +5,11 @@ from collections.abc import Iterable, Sequence
 from itertools import pairwise
 
 from reconstruction.capture.image_features import CERTAIN, FrameGroup, ImageFeatures, named
+from reconstruction.capture.spatial_guess import SEVERAL_FRINGES, SPATIAL
 from reconstruction.capture.uniform_images import UniformImages
 from reconstruction.capture.word_bits import ArrangedBits
 from reconstruction.patterns import AXES, Axis
 
-# Least number of fringes in view at which a period is not assumed to be a single fringe.
-SEVERAL_FRINGES = 1.5
 # Least number of fringes in view with which the steps of a set of three can be checked.
 LITTLE_OF_A_FRINGE = 1.2
 # Two frequencies that differ by less than this, cycles per line, may be equal.
@@ -109,7 +108,9 @@ def unnumbered_doubts(phase: FrameGroup, features: Sequence[ImageFeatures]) -> l
         return []
     return [
         f"{phase.files[0]} ...: about {cycles:.0f} fringes of one period along {phase.axis} and"
-        " no word or period that numbers them; images may be missing"
+        " no word or period that numbers them; images may be missing. Otherwise the surface must be"
+        f" continuous (code = '{SPATIAL}'), and a reference is needed (--reference-pixels or"
+        " --reference-z-mm)"
     ]
 
 

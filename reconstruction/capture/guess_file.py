@@ -10,6 +10,7 @@ from reconstruction.capture.frame_list import FrameEntry
 from reconstruction.capture.guess import Guess
 from reconstruction.capture.image_features import FolderFeatures, FrameGroup
 from reconstruction.capture.phase_anchor import word_px, words_per_fringe
+from reconstruction.capture.spatial_guess import SPATIAL, assumed_fringes, is_spatial
 from reconstruction.errors import CaptureError
 from reconstruction.patterns import AXES, Axis
 
@@ -33,6 +34,7 @@ def written(guess: Guess, size: tuple[int, int], *, is_known: bool = True) -> st
         'format = "fringe-frames"',
         "version = 1",
         *_depth_lines(guess.folder_features),
+        f'code = "{SPATIAL}"  # unsure: if no images are missing' if _is_spatial(guess) else "",
         f"word = {json.dumps(guess.word)}" if guess.word != "reflected" else "",
         "",
         "[projector]" + "  # unsure: not visible in images" * (not is_known),
@@ -84,6 +86,9 @@ def _remarks(group: FrameGroup, guess: Guess) -> dict[str, str]:
     same = [g for g in guess.groups if g.axis == group.axis and {g.kind, group.kind} <= {*bits}]
     files = [name for group in (group, *same) for name in group.files]
     remarks = {"period_px": "  # unsure: follows from the size of the projector"}
+    if _is_spatial(guess):
+        count = assumed_fringes(group, guess.folder_features.features)
+        remarks["period_px"] = f"  # unsure: as if {count} fringes covered the projector"
     if any(name in text for text in guess.unsure for name in files):
         remarks["files"] = "  # unsure: see above"
     if group.sign:
@@ -92,6 +97,10 @@ def _remarks(group: FrameGroup, guess: Guess) -> dict[str, str]:
         remarks["shift_deg"] = "  # unsure: of the first image 0 is assumed"
         remarks["sign"] = "  # unsure: -1 if the camera view of the projector is mirrored"
     return remarks
+
+
+def _is_spatial(guess: Guess) -> bool:
+    return is_spatial(guess.groups, guess.folder_features.features)
 
 
 def _toml(value: Any) -> str:
@@ -106,8 +115,11 @@ def _period_px(group: FrameGroup, guess: Guess, size: tuple[int, int]) -> float:
     """Return the fringe period or word width of a group, projector px.
 
     It is assumed that all code words, or one fringe of the coarsest period, cover the projector.
+    With code `spatial` the fringes in view do.
     """
     length_px = size[AXES.index(group.axis or "column")]
+    if _is_spatial(guess):
+        return length_px / assumed_fringes(group, guess.folder_features.features)
     bits = next((g for g in guess.groups if g.kind == "gray" and g.axis == group.axis), None)
     if bits is not None:
         width_px = _word_px(bits, guess, size)

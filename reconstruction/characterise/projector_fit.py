@@ -36,6 +36,7 @@ from reconstruction.characterise.photon_transfer import (
 from reconstruction.decoding.decode import Decoded
 from reconstruction.errors import InputError
 from reconstruction.patterns import AXES, PatternSet
+from reconstruction.pixel_shape import pixels_per_column, smear_px
 from reconstruction.rig.projected_light import GAMMA_RANGE, ProjectorResponse, blurred
 from reconstruction.rig.sensor import SensorNoise
 
@@ -81,8 +82,8 @@ class ProjectorFit:
     Attributes
     ----------
     gamma : gamma of the projector
-    blur_px : standard deviation of the lens blur, projector px. Half of the share that a camera
-        pixel's footprint may have in the fitted blur is subtracted
+    blur_px : standard deviation of the lens blur, projector columns. Half of the share that a
+        camera pixel's footprint may have in the fitted blur is subtracted
     noise : photon transfer curve of the residuals; None: the residuals do not determine it
     chi2 : squared residuals divided by the predicted variance, per degree of freedom
     offset_dn, light_dn : (pixel,) level without light, o, and amplitude, s, of the fitted pixels
@@ -254,8 +255,12 @@ class _LightNodes:
         levels = np.stack([patterns.profile(patterns.frames[k]) for k in self.frames], axis=1)
         self._nodes_px = np.arange(0.0, patterns.length_px(name) - 1.0, 1.0 / PER_PX)
 
+        per_column = pixels_per_column(patterns.pixel_ratio, name)
+        smear = smear_px(patterns.pixel_ratio, name)
+
         def shown(gamma: float, blur_px: float) -> FloatArray:
-            return blurred(ProjectorResponse(gamma).light(levels), self._nodes_px, blur_px)
+            relative = ProjectorResponse(gamma).light(levels)
+            return blurred(relative, self._nodes_px, per_column * blur_px, smear)
 
         gamma, blur_px = light.tolist()
         self.light = shown(gamma, blur_px)
@@ -454,7 +459,7 @@ def _sandwich(
 
 
 def _footprint_px(decoded: Decoded, patterns: PatternSet) -> float:
-    """Return the standard deviation, projector px, of a typical camera pixel's footprint.
+    """Return the standard deviation, projector columns, of a typical camera pixel's footprint.
 
     The footprint is a parallelogram with the median differences of coordinates between adjacent
     pixels as sides; the result is the RMS over both projector axes.
@@ -466,7 +471,8 @@ def _footprint_px(decoded: Decoded, patterns: PatternSet) -> float:
         along = np.diff(own, axis=1)[valid[:, 1:] & valid[:, :-1]]
         across = np.diff(own, axis=0)[valid[1:] & valid[:-1]]
         if along.size and across.size:
-            variances.append((np.median(along) ** 2 + np.median(across) ** 2) / 12.0)
+            square_px2 = (np.median(along) ** 2 + np.median(across) ** 2) / 12.0
+            variances.append(square_px2 / pixels_per_column(patterns.pixel_ratio, axis) ** 2)
     return float(np.sqrt(np.mean(variances))) if variances else 0.0
 
 

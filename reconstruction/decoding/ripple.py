@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from reconstruction.arrays import FloatArray, FloatImage
 from reconstruction.patterns import AXES, Axis, PatternSet
+from reconstruction.pixel_shape import pixels_per_column, smear_px
 from reconstruction.rig.projected_light import GAMMA_RANGE, ProjectorResponse, blurred
 
 NODES = 512
@@ -217,10 +218,12 @@ def _frames_at(
     levels = np.stack([patterns.profile(frame) for frame in frames], axis=1)
     period_px, length = patterns.periods_along(axis)[fringes], patterns.length_px(axis)
     per_px = max(2, int(np.ceil(_PER_NODE * NODES / period_px)))
-    edge = min(1.0 + _EDGE_BLURS * response.blur_px, length / 4.0)
+    blur_px = response.blur_px * pixels_per_column(patterns.pixel_ratio, axis)
+    edge = min(1.0 + _EDGE_BLURS * blur_px, length / 4.0)
     last = min(length - 0.5 - edge, edge + _MOST_PERIODS * period_px)
     u_px = np.arange(edge - 0.5, last, 1.0 / per_px)
-    light = blurred(response.light(levels), u_px, response.blur_px)
+    smear = smear_px(patterns.pixel_ratio, axis)
+    light = blurred(response.light(levels), u_px, blur_px, smear)
     turns = np.array(patterns.shifts(axis, fringes))
     return u_px, light, np.asarray(light @ np.exp(-1j * TURN * turns)), turns
 

@@ -8,6 +8,7 @@ first.
 
 from reconstruction.arrays import PhotometricReason
 from reconstruction.photometric.calibration_ball import BallPress, SampleOptions
+from reconstruction.photometric.height_map import HeightMap
 from reconstruction.photometric.integrate import corrected, integrate, sdk_faithful
 from reconstruction.photometric.press_files import (
     DescribedPresses,
@@ -20,8 +21,8 @@ from reconstruction.photometric.press_files import (
     write_height_points,
 )
 from reconstruction.photometric.printed_dots import DotOptions, GelMotion, SensorDots, gel_motion
+from reconstruction.photometric.rest_surface import RestSurface
 from reconstruction.photometric.sensor import (
-    HeightMap,
     PhotometricDecoder,
     PhotometricOptions,
     SensorCalibration,
@@ -40,6 +41,7 @@ __all__ = [
     "PhotometricOptions",
     "PhotometricReason",
     "PhotometricResult",
+    "RestSurface",
     "SampleOptions",
     "SensorCalibration",
     "SensorDots",

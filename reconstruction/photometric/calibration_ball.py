@@ -5,8 +5,8 @@ contact the height is h = sqrt(R^2 - r^2) + const, and its slope dh/dx = -x / sq
 r are measured from the centre of the circle.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 
 import cv2
@@ -16,6 +16,7 @@ from reconstruction.arrays import BoolImage, FloatArray, FloatImage, Levels
 from reconstruction.colour_maps import Samples
 from reconstruction.errors import FitError, InputError, require_integer, require_number
 from reconstruction.photometric.images import GROWTH_PX, checked_image, find_markers, smoothed
+from reconstruction.photometric.rest_surface import RestSurface
 
 SMOOTHING_PX = 5
 SECTORS = 72
@@ -221,10 +222,12 @@ def sample_presses(
     background: FloatImage,
     pitch_mm: float,
     options: SampleOptions | None = None,
+    rest: RestSurface | None = None,
 ) -> Samples:
     """Collect samples of colour and slope from the calibration images.
 
-    They are pixels in contact, and some undeformed pixels with slope 0.
+    They are pixels in contact, and some undeformed pixels with slope 0. On a dome, slopes are those
+    of the ball minus those of the undeformed coat.
 
     Parameters
     ----------
@@ -232,6 +235,7 @@ def sample_presses(
     background : (row, col, 3) float32, mean of images of the undeformed gel
     pitch_mm : distance of neighbouring pixels on the surface
     options : None: the defaults of `SampleOptions`
+    rest : undeformed coat of a domed gel; None: the gel is flat
 
     Raises
     ------
@@ -258,13 +262,32 @@ def sample_presses(
             if len(unreadable) > how.unreadable_share * len(presses):
                 raise unreadable[0] from error
             continue
-        ball = partial(ball_slopes, circle, press.ball_diameter_mm / 2.0, pitch_mm)
+        ball = _slopes_of_ball(circle, press.ball_diameter_mm / 2.0, pitch_mm, rest)
         touched, untouched = _places(circle, ~(hidden_before | dots))
         parts.append(_part(levels, flat, touched, ball(touched)))
         parts.append(_part(levels, flat, untouched, np.zeros_like(untouched)))
     if not parts:
         raise FitError("there are no calibration images; give at least one press of a ball")
     return Samples(*(np.concatenate([part[i] for part in parts]) for i in range(4)))
+
+
+def _slopes_of_ball(
+    circle: ContactCircle, ball_radius_mm: float, pitch_mm: float, rest: RestSurface | None
+) -> Callable[[FloatArray], FloatArray]:
+    """Return the function from pixels (n, 2) to the ball's slopes minus those of the dome."""
+    if rest is None:
+        return partial(ball_slopes, circle, ball_radius_mm, pitch_mm)
+    place_px = circle.row_px, circle.col_px
+    (row_px, col_px), width_mm = rest.ball_axis(place_px, ball_radius_mm, pitch_mm)
+    about_axis = replace(circle, row_px=row_px, col_px=col_px)
+
+    def relative(places_px: FloatArray) -> FloatArray:
+        row, col = places_px.astype(np.intp).T
+        return ball_slopes(about_axis, ball_radius_mm, width_mm, places_px) - (
+            rest.slopes[:, row, col].T
+        )
+
+    return relative
 
 
 def _require_fit(contact_mm: float, ball_radius_mm: float) -> None:

@@ -8,8 +8,8 @@ import numpy as np
 from reconstruction.arrays import Levels
 from reconstruction.drawing import Drawing
 from reconstruction.markers import DotStatus
+from reconstruction.photometric.height_map import HeightMap
 from reconstruction.photometric.printed_dots import GelMotion
-from reconstruction.photometric.sensor import HeightMap
 from reconstruction.writing import write_bytes
 
 _ACROSS, _MOST = 4, 24

@@ -13,8 +13,8 @@ from reconstruction.netcdf import PIXELS, Labelled, LabelledArrays, pixel_coordi
 if TYPE_CHECKING:
     from reconstruction.cells import CellMeans
     from reconstruction.drawing import Drawing
+    from reconstruction.photometric.height_map import HeightMap
     from reconstruction.photometric.printed_dots import GelMotion, GelMotionField
-    from reconstruction.photometric.sensor import HeightMap
 
 SLOPES = ("slope_row", "slope_col")
 
@@ -36,6 +36,10 @@ def height_arrays(height_map: "HeightMap") -> LabelledArrays:
         "flag_meanings": " ".join(reason.name for reason in PhotometricReason),
     }
     variables["mask_reason"] = (PIXELS, height_map.mask_reason, codes)
+    if height_map.rest is not None:
+        for name, (values, meaning_of_rest) in height_map.rest.arrays().items():
+            unit = "mm" if name.endswith("_mm") else "1"
+            variables[name] = (PIXELS, values, {"units": unit, "long_name": meaning_of_rest})
     frame = "row 0 at the top; height is positive towards the camera"
     return LabelledArrays(
         variables,

@@ -9,8 +9,9 @@ import cv2
 import numpy as np
 
 from reconstruction.arrays import BoolImage, FloatImage
+from reconstruction.photometric.height_map import HeightMap
 from reconstruction.photometric.relighting import LEAST_SHARE
-from reconstruction.photometric.sensor import HeightMap, UntouchedGel
+from reconstruction.photometric.sensor import UntouchedGel
 
 # Largest relative difference of backgrounds of one unit. Backgrounds of two units differ by some
 # 15 %, those of one unit within a session by 0.5 %.
@@ -34,7 +35,7 @@ def background_difference(own: FloatImage, given: FloatImage) -> float:
 
 
 def untouched_drift_mm(height_map: HeightMap, untouched: BoolImage) -> float | None:
-    """Return the RMS height, mm, of undeformed gel, which should be 0.
+    """Return the RMS height, mm, of undeformed gel above its shape without load: ideally 0.
 
     None if too few pixels show undeformed gel.
 
@@ -44,7 +45,7 @@ def untouched_drift_mm(height_map: HeightMap, untouched: BoolImage) -> float | N
     """
     if untouched.mean() < LEAST_SHARE:
         return None
-    return float(np.sqrt(np.mean(height_map.height_mm[untouched].astype(np.float64) ** 2)))
+    return float(np.sqrt(np.mean(height_map.relief_mm[untouched].astype(np.float64) ** 2)))
 
 
 def doubts_of_background(own: FloatImage, given: FloatImage) -> tuple[str, ...]:

@@ -14,6 +14,7 @@ from reconstruction.errors import CaptureError, InputError, one_line
 from reconstruction.native import quiet
 from reconstruction.netcdf import write_arrays
 from reconstruction.photometric.calibration_ball import BallPress
+from reconstruction.photometric.height_map import HeightMap
 from reconstruction.photometric.images import checked_image, mean_background
 from reconstruction.photometric.presentation import SLOPES, dot_arrays, height_arrays
 from reconstruction.photometric.press_description import (
@@ -29,8 +30,8 @@ from reconstruction.photometric.press_doubts import (
     untouched_drift_mm,
 )
 from reconstruction.photometric.printed_dots import GelMotion, SensorDots
+from reconstruction.photometric.rest_surface import RestSurface
 from reconstruction.photometric.sensor import (
-    HeightMap,
     PhotometricDecoder,
     SensorCalibration,
     UntouchedGel,
@@ -297,7 +298,8 @@ def read_height_map(path: Path | str) -> HeightMap:
         maps = {name: stored[name] for name in (*SLOPES, "height_mm", "mask_reason")}
         slopes = np.stack([maps[name] for name in SLOPES])
         pitch_mm = float(stored.attrs["pitch_mm"])
-        return HeightMap(maps["height_mm"], slopes, maps["mask_reason"], pitch_mm)
+        rest = RestSurface.from_arrays({name: stored[name] for name in stored.variables})
+        return HeightMap(maps["height_mm"], slopes, maps["mask_reason"], pitch_mm, rest)
     except KeyError as error:
         raise CaptureError(f"{path}: no height map: {error} is missing") from error
 

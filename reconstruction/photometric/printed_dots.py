@@ -21,7 +21,7 @@ from reconstruction.markers import (
     linear_light,
     track,
 )
-from reconstruction.photometric.sensor import HeightMap
+from reconstruction.photometric.height_map import HeightMap
 
 # Distance of neighbouring samples of the smooth field, px.
 _EVERY = 4

@@ -4,13 +4,16 @@ A calibration file is a NumPy archive (.npz) of arrays without pickle: `format`,
 `pitch_mm`, `smoothing_px`, `marker_level`, `background`, and the arrays of the colour map under
 names that start with `map_`. A measurement compares the colours with the background, maps them to
 slopes, integrates the slopes to heights, and subtracts the height of undeformed gel.
+
+On a domed gel the slopes are relative to the undeformed coat, whose shape is known and is added
+(`RestSurface`). Its arrays are then in the file, which has version 2.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -33,6 +36,7 @@ from reconstruction.colour_maps import (
 from reconstruction.errors import CaptureError, InputError, require_number
 from reconstruction.integration_schemes import SCHEMES, Boundary, IntegrationScheme
 from reconstruction.photometric.calibration_ball import BallPress, SampleOptions, sample_presses
+from reconstruction.photometric.height_map import HeightMap
 from reconstruction.photometric.images import (
     CHANNELS,
     checked_image,
@@ -51,15 +55,11 @@ from reconstruction.photometric.relighting import (
     light_over_background,
     untouched_gel,
 )
+from reconstruction.photometric.rest_surface import RestSurface
 from reconstruction.reading import read_arrays
 from reconstruction.writing import write_npz
 
-if TYPE_CHECKING:
-    import xarray
-
-    from reconstruction.drawing import Drawing
-
-FORMAT, VERSION = "photometric-calibration", 1
+FORMAT, VERSION, VERSION_OF_DOME = "photometric-calibration", 1, 2
 PREFIX = "map_"
 LIT_LEVELS = 5.0, 250.0
 """Allowed range of the median level of each channel of the background: pixels must be able to
@@ -78,6 +78,7 @@ class SensorCalibration:
     smoothing_px : side of the square over which colours are averaged before they are mapped; odd
     marker_level : largest grey level of a printed dot (70 in the vendor's programs); 0: the gel has
         no dots
+    rest : undeformed coat of a domed gel; None: the gel is flat
 
     Raises
     ------
@@ -89,6 +90,7 @@ class SensorCalibration:
     pitch_mm: float
     smoothing_px: int = 3
     marker_level: int = 0
+    rest: RestSurface | None = None
 
     def __post_init__(self) -> None:
         require_number("pitch_mm", self.pitch_mm, 0.0, open_low=True)
@@ -101,6 +103,10 @@ class SensorCalibration:
         # Written so that NaN is rejected as well.
         if not bool(np.all((self.background >= 0.0) & (self.background <= 255.0))):
             raise InputError("background holds levels outside 0 to 255")
+        if self.rest is not None and self.rest.points_mm.shape != shape:
+            raise InputError(
+                f"rest surface has shape {self.rest.points_mm.shape}; the background has {shape}"
+            )
 
 
 def calibrate_sensor(
@@ -109,6 +115,8 @@ def calibrate_sensor(
     pitch_mm: float,
     kind: str = DEFAULT_MAP,
     options: SampleOptions | None = None,
+    *,
+    rest: RestSurface | None = None,
 ) -> SensorCalibration:
     """Calibrate a sensor on presses of balls of known diameter.
 
@@ -123,6 +131,8 @@ def calibrate_sensor(
         in the image) or `table` (the classic look-up table)
     options : threshold of contact, smoothing, and level of printed dots; None: the defaults of
         `SampleOptions`
+    rest : undeformed coat of a domed gel at the pixels of the background, by its drawing or by a
+        measurement; None: the gel is flat
 
     Raises
     ------
@@ -134,9 +144,11 @@ def calibrate_sensor(
     fitted, how = map_named(kind), options or SampleOptions()
     background = mean_background(background_frames)
     _require_lit(background)
-    samples = sample_presses(presses, background, pitch_mm, how)
+    samples = sample_presses(presses, background, pitch_mm, how, rest)
     colour_map = fitted.fit(samples, smoothed(background, how.smoothing_px))
-    return SensorCalibration(colour_map, background, pitch_mm, how.smoothing_px, how.marker_level)
+    return SensorCalibration(
+        colour_map, background, pitch_mm, how.smoothing_px, how.marker_level, rest
+    )
 
 
 def _require_lit(background: FloatImage) -> None:
@@ -154,7 +166,7 @@ def write_sensor_calibration(path: Path | str, calibration: SensorCalibration) -
     """Write a calibration to an .npz file; equal calibrations give files with equal bytes."""
     arrays: dict[str, NDArray[Any]] = {
         "format": np.array(FORMAT),
-        "version": np.array(VERSION),
+        "version": np.array(VERSION if calibration.rest is None else VERSION_OF_DOME),
         "kind": np.array(calibration.colour_map.name),
         "pitch_mm": np.array(calibration.pitch_mm),
         "smoothing_px": np.array(calibration.smoothing_px),
@@ -162,6 +174,8 @@ def write_sensor_calibration(path: Path | str, calibration: SensorCalibration) -
         "background": calibration.background,
     }
     arrays |= {PREFIX + name: part for name, part in calibration.colour_map.arrays().items()}
+    if calibration.rest is not None:
+        arrays |= {name: part for name, (part, _) in calibration.rest.arrays().items()}
     write_npz(path, arrays)
 
 
@@ -187,7 +201,7 @@ def read_sensor_calibration(path: Path | str) -> SensorCalibration:
 
 def _from_arrays(arrays: Mapping[str, NDArray[Any]]) -> SensorCalibration:
     header = str(arrays["format"]), int(arrays["version"])
-    if header != (FORMAT, VERSION):
+    if header not in ((FORMAT, VERSION), (FORMAT, VERSION_OF_DOME)):
         raise CaptureError(f"format and version are {header}; this program reads {FORMAT, VERSION}")
     kind = str(arrays["kind"])
     if kind not in COLOUR_MAPS:
@@ -204,6 +218,7 @@ def _from_arrays(arrays: Mapping[str, NDArray[Any]]) -> SensorCalibration:
         float(arrays["pitch_mm"]),
         int(arrays["smoothing_px"]),
         int(arrays["marker_level"]),
+        RestSurface.from_arrays(arrays),
     )
 
 
@@ -248,83 +263,6 @@ class PhotometricOptions:
     def scheme(self) -> IntegrationScheme:
         """Integration scheme with the name `integration`."""
         return SCHEMES[self.integration]
-
-
-@dataclass(frozen=True, eq=False)
-class HeightMap:
-    """Heights and slopes of a pressed gel measured from one image; row 0 is at the top.
-
-    Heights and slopes are finite at all pixels; at pixels that are not valid they are estimates.
-
-    Parameters
-    ----------
-    height_mm : (row, col) float32, positive towards the camera, 0 for undeformed gel
-    slopes : (2, row, col) float32, mm/mm, downwards and to the right
-    mask_reason : (row, col) uint8, reason why a pixel is not valid, see `PhotometricReason`
-    pitch_mm : distance of neighbouring pixels on the surface
-    """
-
-    height_mm: FloatImage
-    slopes: FloatImage
-    mask_reason: ReasonImage
-    pitch_mm: float
-
-    @property
-    def valid(self) -> BoolImage:
-        """Pixels with a measured slope, (row, col) bool: those without a reason code."""
-        return np.asarray(self.mask_reason == PhotometricReason.VALID)
-
-    def points_mm(self) -> FloatArray:
-        """Return the valid points (n, xyz), mm, row by row: x right, y up, z towards the camera.
-
-        The origin is the middle of the image, at the height 0.
-        """
-        row, col = np.nonzero(self.valid)
-        rows, cols = self.height_mm.shape
-        x = (col - 0.5 * (cols - 1)) * self.pitch_mm
-        y = (0.5 * (rows - 1) - row) * self.pitch_mm
-        return np.column_stack([x, y, self.height_mm[row, col].astype(np.float64)])
-
-    def __repr__(self) -> str:
-        shown = ", ".join(f"{name} {value}" for name, value in self._in_short().items())
-        rows, cols = self.height_mm.shape
-        return f"<HeightMap: {rows} x {cols} pixels of {self.pitch_mm:.3g} mm, {shown}>"
-
-    def _repr_html_(self) -> str:
-        from reconstruction.drawing import as_html
-
-        return as_html("height map", self._in_short(), self.plot())
-
-    def _in_short(self) -> dict[str, str]:
-        """Return the share of valid pixels and the range of their heights as texts, by name."""
-        valid = self.valid
-        shown = {"points": f"{100 * valid.mean():.1f} % of all pixels"}
-        if valid.any():
-            low, high = float(self.height_mm[valid].min()), float(self.height_mm[valid].max())
-            shown["heights"] = f"{low:.3g} to {high:.3g} mm"
-        return shown
-
-    def plot(self) -> "Drawing":
-        """Return a figure of heights, mm, steepness, degrees, and a section of the heights.
-
-        Raises
-        ------
-        InputError : no pixel is valid
-        """
-        from reconstruction.photometric.presentation import height_drawing
-
-        return height_drawing(self)
-
-    def to_xarray(self) -> "xarray.Dataset":
-        """Return heights, slopes and reason codes over image row and column.
-
-        The coordinates x and y, mm, of columns and rows are included.
-        """
-        from reconstruction.photometric.presentation import height_arrays, places_mm
-
-        x_mm, y_mm = places_mm(self)
-        places = {"x": ("col", x_mm, {"units": "mm"}), "y": ("row", y_mm, {"units": "mm"})}
-        return height_arrays(self).to_xarray().assign_coords(places)
 
 
 @dataclass(frozen=True, eq=False)
@@ -388,10 +326,16 @@ class PhotometricDecoder:
         slopes, known = self._bound.slopes(levels)
         reason = _reasons(raw, hidden, known)
         filled = self._filled(slopes.astype(np.float64), hidden)
-        height = self._integrated(filled, reason)
+        rest, rise = sensor.rest, filled
+        if rest is not None:
+            filled = filled + rest.slopes
+            rise = rest.relative_rise(filled, sensor.pitch_mm)
+        height = self._integrated(rise, reason)
         height -= self._zero(height, levels, hidden)
+        if rest is not None:
+            height += rest.points_mm[..., 2]
         return HeightMap(
-            height.astype(np.float32), filled.astype(np.float32), reason, sensor.pitch_mm
+            height.astype(np.float32), filled.astype(np.float32), reason, sensor.pitch_mm, rest
         )
 
     def untouched(self, image: ArrayLike, dots: BoolImage | None = None) -> UntouchedGel:

@@ -61,12 +61,33 @@ def test_properties_outside_the_rig_model_are_misfit():
     assert not placed.is_close
 
 
-def test_pixels_that_are_not_square_are_refused():
-    """Setup: a diamond chip, with columns counted at half their number."""
+DIAMOND = {
+    "projector.width_px": 912,
+    "projector.height_px": 1140,
+    "projector.pixel_ratio": "diamond",
+}
+
+
+@pytest.mark.parametrize("ratio", ["diamond", 0.5])
+def test_a_rig_with_oblong_pixels_is_reproduced(ratio):
+    """Expected: pose and focal length in columns, as of square pixels, and a misfit below 1e-4."""
+    changes = DIAMOND | {"projector.pixel_ratio": ratio, "projector.pose.roll_deg": 25.0}
+    experiment = load_experiment("examples/slab_ball", {"camera.binning": 4, **changes})
+    placed = place(true_calibration(experiment), ratio)
+    assert max(placed.misfit_px) < 1e-4
+    assert placed.projector_focal_px == pytest.approx(1.2 * 912, rel=1e-6)
+    pose = experiment.projector.pose
+    assert placed.projector_pose.standoff_mm == pytest.approx(pose.standoff_mm, rel=1e-6)
+    assert placed.projector_pose.roll_deg == pytest.approx(25.0, abs=1e-4)
+
+
+def test_another_ratio_than_stated_is_refused():
+    """Setup: a diamond chip, with columns counted at half their number, stated as square."""
     true = true_calibration(load_experiment("examples/slab_ball", {"camera.binning": 4}))
     p = true.projector
     halved = replace(p, width_px=p.width_px // 2, fx_px=p.fx_px / 2, cx_px=(p.cx_px - 0.5) / 2)
-    with pytest.raises(InputError, match="projector's pixels are 2 times as wide as high"):
+    message = r"projector's pixels are 2 times as wide .* allowed 1 within 3%; set \[projector\]"
+    with pytest.raises(InputError, match=message):
         place(replace(true, projector=halved))
 
 

@@ -30,6 +30,9 @@ CODES: dict[str, dict[str, Any]] = {
         "steps": 4, "period_px": 20, "code": "hierarchical", "further_periods_px": (80, 320),
     },
 }  # fmt: skip
+RELATIVE = "5 steps of one period"
+"""Code of sets whose fringe orders are relative; no seed selects it."""
+_ALL_CODES = {**CODES, RELATIVE: {"steps": 5, "period_px": 40, "code": "spatial"}}
 NEEDS_UNIFORM = "gray", "binary"
 NAMES = "numbered", "padded", "time stamps", "no order"
 FORMATS = "png", "bmp", "jpg"
@@ -59,15 +62,21 @@ class CapturedSet:
     text: str
 
 
-def write_captured_set(folder: Path, seed: int) -> CapturedSet:
-    """Draw a set by its seed, and write its images into a new folder."""
+def write_captured_set(folder: Path, seed: int, code: str = "") -> CapturedSet:
+    """Draw a set by its seed, and write its images into a new folder.
+
+    Parameters
+    ----------
+    code : a code of `CODES`, or `RELATIVE`; empty: a code of `CODES` by the seed
+    """
     rng = np.random.default_rng(seed)
-    code = list(CODES)[seed % len(CODES)]
+    code = code or list(CODES)[seed % len(CODES)]
     naming = str(rng.choice(NAMES, p=[0.35, 0.35, 0.2, 0.1]))
     axes: tuple[Axis, ...] = (("column",), ("row",), ("column", "row"))[rng.integers(3)]
-    further = {} if "further_periods_px" not in CODES[code] else {"row_periods_px": (15, 60, 240)}
+    of_code = _ALL_CODES[code]
+    further = {"row_periods_px": (15, 60, 240)} if "further_periods_px" in of_code else {}
     uniform = bool(rng.random() < 0.7) or code in NEEDS_UNIFORM
-    patterns = PatternSet(**SIZE, **CODES[code], **further, axes=axes, uniform=uniform)
+    patterns = PatternSet(**SIZE, **of_code, **further, axes=axes, uniform=uniform)
     coordinates_px, lit = _surface(rng, is_small=bool(rng.random() < 0.25))
     noise_dn, suffix = float(rng.uniform(0.5, 3.0)), str(rng.choice(FORMATS, p=[0.6, 0.25, 0.15]))
     missing = int(rng.integers(len(patterns.frames))) if rng.random() < 0.1 else -1

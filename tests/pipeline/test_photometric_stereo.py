@@ -26,7 +26,8 @@ from twin.config import load_experiment, vary
 from twin.optics.backed_coat import seen_face
 from twin.pipeline import Memory, measure, press_specimen, take
 from twin.pipeline.colour_images import develop, fixed_exposure_ms, image_pinhole
-from twin.pipeline.colours import ColourSensor, LitCoat, calibrated_sensor, with_ball
+from twin.pipeline.colours import ColourSensor, LitCoat, calibrated_sensor
+from twin.pipeline.reference_presses import with_ball
 from twin.results.folder import read_measurement, write_measurement
 from twin.specimens.kinds.ball import Ball
 

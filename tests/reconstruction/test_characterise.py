@@ -1,10 +1,13 @@
 """Camera and projector from captures: against the numbers that the captures were made with."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from scipy.ndimage import gaussian_filter1d
+from scipy.ndimage import gaussian_filter1d, uniform_filter1d
 
 from reconstruction.characterise import (
+    FitLimits,
     NoiseSamples,
     UncertainValue,
     dark_of,
@@ -186,6 +189,39 @@ def test_a_capture_determines_gamma_blur_and_noise(steps, axes, code, gamma, blu
     assert gain.value == pytest.approx(0.17, abs=4.0 * gain.uncertainty)
     assert gain.uncertainty < 0.03 * 0.17
     np.testing.assert_allclose(result.light_dn.mean(), 2600.0 + 150.0, rtol=0.03)
+
+
+def test_a_diamond_chip_determines_the_blur_in_columns():
+    """A lens blur of 0.7 columns is 1.4 rows; the mirrors add boxes of 0.5 columns and of 1 row.
+
+    The chip is a filter chain on a fine grid. Expected: 0.7 within three uncertainties, and noise
+    as recorded; with the same frames taken as of square pixels the residuals are far above noise.
+    """
+    patterns = PatternSet(320, 480, steps=8, code="gray", pixel_ratio="diamond")
+    row, col = np.mgrid[0:60, 0:90].astype(float)
+    column, line = 30.0 + 0.61 * col + 0.13 * row, 30.0 + 1.4 * row + 0.1 * col
+    light = np.stack([
+        smeared(patterns, frame, line if frame.axis == "row" else column)
+        for frame in patterns.frames
+    ])  # fmt: skip
+    stack, options = recorded(100.0 + 2600.0 * light, 2), DecodeOptions(filter_taps=0)
+    fits = []
+    for shape in (patterns, replace(patterns, pixel_ratio=1.0)):
+        decoded = decode(stack, shape, STATED, options)
+        fits.append(fit_projector(stack, shape, STATED, decoded, FitLimits(pixels=1000)))
+    assert fits[0].chi2 == pytest.approx(1.0, abs=0.05)
+    assert abs(fits[0].blur_px.value - 0.7) < 3.0 * fits[0].blur_px.uncertainty
+    assert fits[0].blur_px.uncertainty < 0.05
+    assert fits[1].chi2 > 1.5
+
+
+def smeared(patterns, frame, place_px):
+    """Return the light of a frame of a diamond chip at places (row, col), px, along its axis."""
+    blur_px, smear_px = (1.4, 1.0) if frame.axis == "row" else (0.7, 0.5)
+    fine = np.repeat(patterns.profile(frame) / 255.0, FINE)
+    fine = uniform_filter1d(fine, round(smear_px * FINE), mode="nearest")
+    fine = gaussian_filter1d(fine, blur_px * FINE, mode="nearest")
+    return np.interp(place_px, (np.arange(fine.size) + 0.5) / FINE - 0.5, fine)
 
 
 def test_a_second_fit_begins_where_the_response_puts_the_pixels():

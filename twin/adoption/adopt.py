@@ -165,7 +165,7 @@ def adopt(given: Given, watch: ProgressCallback = no_progress) -> Adopted:
     fitted = fit_captures(given.captures, captures, sensor, notes)
     fits = [fit_of_capture.fit for fit_of_capture in fitted]
     noise, noise_from = noise_of(captures, fits, sensor, notes)
-    placed = place(captures[0].calibration)
+    placed = place(captures[0].calibration, captures[0].patterns.pixel_ratio)
     watch("fit", 1.0)
     fields = camera_fields(captures[0], model, noise, noise_from, dark)
     fields |= pose_fields(captures[0], model, placed, notes)

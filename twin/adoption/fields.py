@@ -144,7 +144,7 @@ def pose_fields(
     if not placed.is_close:
         notes.append(
             f"a rig file fits the calibration to {max(placed.misfit_px):.2g} px only: the rays of "
-            "the image centres do not meet in one point, or pixels are not square"
+            "the image centres do not meet in one point, or pixels have another ratio of sides"
         )
     offset = (placed.axis_row_px - (projector.height_px - 1) / 2) / projector.height_px * 200.0
     values: dict[str, object] = {
@@ -156,6 +156,8 @@ def pose_fields(
         "projector.offset_percent": offset,
         "projector.distortion": list(projector.distortion),
     }
+    if capture.patterns.pixel_ratio != (model.value("projector.pixel_ratio") or 1.0):
+        values["projector.pixel_ratio"] = capture.patterns.pixel_ratio
     for name, pose in (("camera", placed.camera_pose), ("projector", placed.projector_pose)):
         values |= {f"{name}.pose.{key}": value for key, value in pose.model_dump().items()}
     return {path: RigField(path, value, None, source) for path, value in values.items()}

@@ -1,10 +1,10 @@
 """Convert a calibration to the fields of a rig: poses and lenses of camera and projector.
 
 A rig has fewer parameters than a calibration. The rays of both image centres intersect in one point
-of the coat, pixels are square, and the principal point is offset along one direction only. The rig
-is fitted by least squares, so that it projects points near the coat to the same pixels as the
-calibration does. The misfit, px, is the RMS of the residuals. The common point of the rays becomes
-the origin of the world frame.
+of the coat, the camera's pixels are square, the projector's have the ratio that the capture states,
+and the principal point is offset along one direction only. The rig is fitted by least squares, so
+that it projects points near the coat to the same pixels as the calibration does. The misfit, px, is
+the RMS of the residuals. The common point of the rays becomes the origin of the world frame.
 """
 
 from collections.abc import Callable
@@ -15,7 +15,8 @@ from scipy.optimize import least_squares
 
 from reconstruction.arrays import FloatArray
 from reconstruction.errors import InputError
-from reconstruction.rig.calibration import DEVICES, Calibration, Pinhole
+from reconstruction.pixel_shape import PixelRatio, width_over_height
+from reconstruction.rig.calibration import Calibration, Pinhole
 from reconstruction.rig.plausibility import require_plausible, rig_checks
 from twin.config.models import Pose
 from twin.optics.rig import world_from_device
@@ -23,7 +24,7 @@ from twin.optics.rig import world_from_device
 _GRID = 7
 _HEIGHTS_MM = (-1.0, 2.0)
 _MOST_MISFIT_PX = 0.5
-_MOST_OFF_SQUARE = 0.03
+_MOST_OFF_RATIO = 0.03
 
 
 @dataclass(frozen=True)
@@ -32,7 +33,7 @@ class Placed:
 
     Attributes
     ----------
-    camera_focal_px, projector_focal_px : focal lengths in square pixels
+    camera_focal_px, projector_focal_px : focal lengths in columns
     axis_row_px : row of the projector's optical axis
     origin_mm : (xyz) the rig's origin in the world frame of the calibration
     misfit_px : RMS residual over the image of the camera, and over that of the projector
@@ -52,16 +53,28 @@ class Placed:
         return max(self.misfit_px) < _MOST_MISFIT_PX
 
 
-def place(calibration: Calibration) -> Placed:
+def place(calibration: Calibration, pixel_ratio: PixelRatio = 1.0) -> Placed:
     """Return the rig that best fits a calibration.
+
+    Parameters
+    ----------
+    pixel_ratio : shape of the projector's pixels as the capture states it, see
+        `reconstruction.pixel_shape`
 
     Raises
     ------
     InputError : the camera does not look down at the plane z = 0, the calibration is implausible,
-        or its pixels are not square
+        its camera pixels are not square, or its projector pixels have another ratio
     """
     require_plausible(rig_checks(calibration), "calibrate again, see docs/calibration.md")
-    _require_square(calibration)
+    ratio = width_over_height(pixel_ratio)
+    _require_ratio(calibration.camera, "camera", 1.0, "give images with square pixels")
+    _require_ratio(
+        calibration.projector,
+        "projector",
+        ratio,
+        'set [projector] pixel_ratio of capture.toml to this ratio, or to "diamond"',
+    )
     origin = _looked_at(calibration)
     points = _points(calibration)
     camera, projector = calibration.camera, calibration.projector
@@ -77,7 +90,7 @@ def place(calibration: Calibration) -> Placed:
     start[5] = _roll_rad(calibration.T_world_from_cam, _square_camera(camera, start[6]), cam_mm)
     start[10] = _roll_rad(
         calibration.T_world_from_proj,
-        _square_projector(projector, start[11], start[12]),
+        _rig_projector(projector, start[11], start[12], ratio),
         proj_mm,
     )
 
@@ -85,7 +98,7 @@ def place(calibration: Calibration) -> Placed:
         centre = np.array([p[0], p[1], origin[2]])
         parts = (
             (_square_camera(camera, p[6]), p[2:5], p[5]),
-            (_square_projector(projector, p[11], p[12]), p[7:10], p[10]),
+            (_rig_projector(projector, p[11], p[12], ratio), p[7:10], p[10]),
         )
         placed = []
         for pinhole, position_mm, roll_rad in parts:
@@ -114,16 +127,13 @@ def place(calibration: Calibration) -> Placed:
     )
 
 
-def _require_square(calibration: Calibration) -> None:
-    for name in DEVICES:
-        device: Pinhole = getattr(calibration, name)
-        ratio = device.fy_px / device.fx_px
-        if not abs(ratio - 1.0) <= _MOST_OFF_SQUARE:
-            raise InputError(
-                f"calibration: the {name}'s pixels are {ratio:.3g} times as wide as high "
-                "(fy / fx); only square pixels are adopted: count columns and rows as of "
-                "square pixels, in captures and calibration, and set pixel_ratio in the rig file"
-            )
+def _require_ratio(device: Pinhole, name: str, stated: float, remedy: str) -> None:
+    ratio = device.fy_px / device.fx_px
+    if not abs(ratio / stated - 1.0) <= _MOST_OFF_RATIO:
+        raise InputError(
+            f"calibration: the {name}'s pixels are {ratio:.3g} times as wide as high (fy / fx), "
+            f"allowed {stated:g} within {_MOST_OFF_RATIO:.0%}; {remedy}"
+        )
 
 
 def _fitted(off_px: Callable[[FloatArray], FloatArray], start: FloatArray) -> FloatArray:
@@ -169,11 +179,13 @@ def _square_camera(camera: Pinhole, focal_px: float) -> Pinhole:
     return replace(camera, fx_px=focal_px, fy_px=focal_px, cx_px=centre[0], cy_px=centre[1])
 
 
-def _square_projector(projector: Pinhole, focal_px: float, axis_row_px: float) -> Pinhole:
+def _rig_projector(
+    projector: Pinhole, focal_px: float, axis_row_px: float, ratio: float
+) -> Pinhole:
     return replace(
         projector,
         fx_px=focal_px,
-        fy_px=focal_px,
+        fy_px=focal_px * ratio,
         cx_px=(projector.width_px - 1) / 2,
         cy_px=axis_row_px,
     )

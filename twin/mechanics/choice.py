@@ -9,6 +9,7 @@ from dataclasses import replace
 from functools import partial
 from math import inf
 
+from reconstruction.arrays import FloatArray
 from twin.config.elastomer import SHEET_THICKNESS_MM
 from twin.config.elastomer_models import AUTO
 from twin.config.models import Elastomer, Mechanics, Press, Specimen
@@ -173,6 +174,19 @@ def select_model(case: PressInput) -> ElastomerModel:
     if not errors_mm:
         raise errors[0]
     return min(errors_mm, key=lambda model: (errors_mm[model], not model.wraps))
+
+
+def rest_face_mm(case: PressInput, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray | None:
+    """Return world z (row, col), mm, of the undeformed coated face; None: z = 0 everywhere.
+
+    A face of another shape needs a stated model: none that `auto` may select has one.
+
+    Parameters
+    ----------
+    x_mm, y_mm : (col,) and (row,) float, mm; nodes of the face
+    """
+    models = possible_models(case)
+    return models[0].rest_face_mm(case, x_mm, y_mm) if len(models) == 1 else None
 
 
 def may_wrap(elastomer: Elastomer) -> bool:

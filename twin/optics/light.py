@@ -29,7 +29,7 @@ import numpy as np
 
 from reconstruction.arrays import FloatArray, FloatImage, Levels
 from reconstruction.patterns import PatternFrame, PatternSet
-from reconstruction.pixel_shape import smear_px, width_over_height
+from reconstruction.pixel_shape import pixels_per_column, smear_px
 from reconstruction.rig.projected_light import blurred, relative_light
 from twin.config.models import Patterns, Projector
 from twin.optics.rig import projector_pinhole, world_from_device
@@ -188,18 +188,14 @@ def _table(
     light = np.concatenate([shown, np.ones((length, 1))], axis=1)
     first_px = -0.5 - MARGIN_PX
     nodes_px = np.arange(first_px, length - 0.5 + MARGIN_PX, 1.0 / OVERSAMPLING)
-    smear, scale = smear_px(projector.pixel_ratio, axis), pixels_per_column(projector, axis)
+    shape = projector.pixel_ratio
+    smear, scale = smear_px(shape, axis), pixels_per_column(shape, axis)
     sharp = blurred(light, nodes_px, scale * projector.blur_px, smear)
     table = LightTable(sharp.astype(np.float32), first_px, tuple(chosen))
     if blur_levels is None:
         return table
     defocused = [blurred(light, nodes_px, scale * blur, smear) for blur in blur_levels.blurs_px()]
     return replace(table, levels=blur_levels, defocused=np.stack(defocused).astype(np.float32))
-
-
-def pixels_per_column(projector: Projector, axis: str) -> float:
-    """Return the width of a column of the projector in pixels along an axis, "column" or "row"."""
-    return width_over_height(projector.pixel_ratio) if axis == "row" else 1.0
 
 
 def along(frame: PatternFrame) -> str:

@@ -9,7 +9,7 @@ measurements.
 
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,7 @@ from reconstruction.photometric import (
     HeightMap,
     PhotometricReason,
     PhotometricResult,
+    SensorCalibration,
     described_presses,
     write_dots,
     write_height_map,
@@ -110,11 +111,17 @@ def reconstruct_presses(
         write_text(folder / EXPERIMENT_FILE, text)
         write_sensor_calibration(folder / CALIBRATION_FILE, presses.decoder.calibration)
         files = [_content(file) for file in presses.files if file.is_file()]
-        named = content_digest(text, files, presses.decoder.calibration)
+        named = content_digest(text, files, _arrays_of(presses.decoder.calibration))
         write_outcome(folder, "reconstruct", outcome.figures, digest=named)
         if draw is not None:
             draw(folder, outcome)
     return outcome
+
+
+def _arrays_of(calibration: SensorCalibration) -> list[Any]:
+    """Return the values of a calibration, for its digest; that of a flat gel has no rest."""
+    values = [getattr(calibration, of.name) for of in fields(calibration) if of.name != "rest"]
+    return values if calibration.rest is None else [*values, calibration.rest]
 
 
 def _content(file: Path) -> NDArray[np.uint8]:

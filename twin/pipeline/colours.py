@@ -6,7 +6,7 @@ to images by the same functions. The stages sensor -> references -> calibrations
 for all specimens under the same sensor.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,13 +16,13 @@ from reconstruction.colour_maps import COLOUR_MAPS, maps_in_order
 from reconstruction.errors import InputError
 from reconstruction.photometric import (
     BallPress,
+    RestSurface,
     SensorCalibration,
     calibrate_sensor,
 )
 from reconstruction.photometric.calibration_ball import SampleOptions
 from reconstruction.rig.pinhole import Pinhole
 from twin.config import Experiment, digest, seed_sequence
-from twin.config.models import Press
 from twin.mechanics import PressedElastomer
 from twin.optics.backed_coat import seen_face
 from twin.optics.lamps import drifted_flux
@@ -40,6 +40,12 @@ from twin.pipeline.fringes import RunContext
 from twin.pipeline.kept_calibrations import KeptCalibrations
 from twin.pipeline.memory import CachedResult, Memory
 from twin.pipeline.press import press, press_smooth, with_texture
+from twin.pipeline.reference_presses import (
+    ball_presses,
+    bare_face,
+    rest_surface,
+    undeformed,
+)
 from twin.results.decoders import chosen, decode_all
 from twin.results.parts import press_metrics
 from twin.results.record import Colours, Measurement
@@ -71,11 +77,13 @@ class LitCoat:
     background : (row, col, channel) float32
         Radiance of the undeformed coat on the pixels of `cropped_pinhole`, mW / (mm^2 sr).
     exposure_ms : exposure time of all images, determined from the background
+    rest : undeformed coat of a domed gel at the pixels of the final image; None: it is flat
     """
 
     scene: "ColourScene"
     background: FloatImage
     exposure_ms: float
+    rest: RestSurface | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,36 +247,6 @@ def check_sensor(experiment: Experiment) -> None:
         raise InputError("camera.depth_of_field: not rendered for photometric stereo; set it false")
 
 
-def ball_presses(experiment: Experiment) -> list[Experiment]:
-    """Return the experiments of the reference presses: balls at random positions of the field.
-
-    Diameters, depths and positions are random numbers from the root seed of the experiment.
-    """
-    plan, size = experiment.photometric.presses, experiment.photometric
-    rng = np.random.default_rng(seed_sequence(experiment, "reference_balls"))
-    presses = []
-    for _ in range(plan.count):
-        diameter_mm = rng.uniform(plan.smallest_diameter_mm, plan.largest_diameter_mm)
-        depth_mm = 0.5 * diameter_mm * rng.uniform(plan.shallowest, plan.deepest)
-        # The contact's radius is below sqrt(2 R d), that of the ball's section at the depth d.
-        half = np.array([size.field_x_mm, size.field_y_mm]) / 2 - np.sqrt(diameter_mm * depth_mm)
-        x_mm, y_mm = rng.uniform(-1.0, 1.0, 2) * np.maximum(half, 0.0)
-        ball = Ball(diameter_mm=diameter_mm, x_mm=x_mm, y_mm=y_mm)
-        presses.append(with_ball(experiment, ball, depth_mm))
-    return presses
-
-
-def with_ball(experiment: Experiment, ball: Ball, depth_mm: float) -> Experiment:
-    """Return the experiment with a ball, pressed to a depth, in place of its specimen and press."""
-    load = Press(
-        control="depth",
-        depth_mm=depth_mm,
-        solver_pitch_mm=experiment.press.solver_pitch_mm,
-        relief_pitch_mm=experiment.press.relief_pitch_mm,
-    )
-    return experiment.model_copy(update={"specimen": ball, "press": load})
-
-
 def _calibrated(
     experiment: Experiment, memory: Memory
 ) -> tuple[CachedResult[LitCoat], dict[str, SensorCalibration]]:
@@ -303,20 +281,12 @@ def _calibrated(
 def _lit_coat(experiment: Experiment) -> LitCoat:
     from twin.optics.colour_trace import ColourScene
 
-    scene = ColourScene(experiment, _untouched_face(experiment))
+    coat = undeformed(experiment)
+    scene = ColourScene(experiment, bare_face(experiment, coat))
     pinhole = cropped_pinhole(experiment)
     background = scene.render(pinhole, world_from_device(experiment.camera.pose, pinhole))
-    return LitCoat(scene, background, fixed_exposure_ms(experiment, background))
-
-
-def _untouched_face(experiment: Experiment) -> "trimesh.Trimesh":
-    """Return the mesh of the undeformed coat, with its texture, on the nodes of a pressed face."""
-    case = with_ball(experiment, Ball(diameter_mm=8.0), 0.2)
-    pressed = press_smooth(case)
-    flat, free = np.zeros_like(pressed.face_z_mm), np.zeros_like(pressed.pressure_kpa)
-    nowhere = np.zeros_like(pressed.contact)
-    untouched = replace(pressed, face_z_mm=flat, pressure_kpa=free, contact=nowhere)
-    return seen_face(case, with_texture(case, untouched))
+    rest = rest_surface(experiment, scene, coat) if coat.face_z_mm.any() else None
+    return LitCoat(scene, background, fixed_exposure_ms(experiment, background), rest)
 
 
 def _references(sensor: ColourSensor) -> References:
@@ -337,7 +307,9 @@ def _calibrations(sensor: ColourSensor, references: References) -> dict[str, Sen
     )
     images = references.presses, references.backgrounds
     return {
-        kind.name: calibrate_sensor(*images, sensor.pitch_mm, kind.name, options)
+        kind.name: calibrate_sensor(
+            *images, sensor.pitch_mm, kind.name, options, rest=sensor.coat.rest
+        )
         for kind in maps_in_order()
     }
 

@@ -11,12 +11,12 @@ import numpy as np
 from reconstruction.arrays import FloatArray, FloatImage, Reason, ReasonImage
 from reconstruction.decoding import DecodeOptions
 from reconstruction.patterns import AXES, Axis
-from reconstruction.pixel_shape import smear_px
+from reconstruction.pixel_shape import smear_px, width_over_height
 from reconstruction.rig.sensor import QUANTISATION_DN2
 from twin.camera import electrons_per_ms, noise_model
 from twin.config.models import Experiment
 from twin.optics.contrast import FringeLight, extent_variance_px2, outline, transfer
-from twin.optics.light import Defocus, pattern_set, pixels_per_column
+from twin.optics.light import Defocus, pattern_set
 from twin.optics.stack import TraceMaps
 
 
@@ -72,7 +72,7 @@ class FringeNumbers:
             growth_px_mm=blur.growth_px_mm,
             focus_mm=blur.focus_mm,
             period_px=experiment.patterns.period_px,
-            rows_per_column=pixels_per_column(projector, "row"),
+            rows_per_column=width_over_height(projector.pixel_ratio),
             column_smear_px2=smear_px(projector.pixel_ratio, "column") ** 2 / 12.0,
             row_smear_px2=smear_px(projector.pixel_ratio, "row") ** 2 / 12.0,
         )

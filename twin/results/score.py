@@ -222,6 +222,8 @@ def in_world(heights: HeightMap) -> FloatArray:
 
     The middle of the image is at world x = y = 0.
     """
+    if heights.rest is not None:
+        return heights.rest.points_at(heights.height_mm)
     rows, cols = heights.height_mm.shape
     col, row = np.meshgrid(np.arange(cols), np.arange(rows))
     x_mm = (col - 0.5 * (cols - 1)) * heights.pitch_mm

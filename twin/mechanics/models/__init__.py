@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar, Protocol, TypeVar, cast
 
+from reconstruction.arrays import FloatArray
 from reconstruction.registry import Registry
 from twin.config import elastomer_models
 from twin.config.base import Model
@@ -168,6 +169,21 @@ class ElastomerModel(elastomer_models.ModelFields):
         SolverError : the solution did not converge
         """
         raise NotImplementedError(f"{type(self).__name__}.press")
+
+    def rest_face_mm(
+        self, case: PressInput, x_mm: FloatArray, y_mm: FloatArray
+    ) -> FloatArray | None:
+        """Return world z (row, col), mm, of the undeformed coated face; None: z = 0 everywhere.
+
+        Parameters
+        ----------
+        x_mm, y_mm : (col,) and (row,) float, mm; nodes of the face
+
+        Raises
+        ------
+        InputError : the shape of the face cannot be read
+        """
+        return None
 
     def preview(self, case: PressInput, near: SettledPress | None = None) -> SettledPress | None:
         """Press less accurately than `press`, in less time, for a live view.

@@ -5,6 +5,7 @@ See `twin.mechanics.reference`. scikit-fem and the mesher are imported at the fi
 
 from typing import TYPE_CHECKING
 
+from reconstruction.arrays import FloatArray
 from twin.config.models import Elastomer, Mechanics, PadFile
 from twin.mechanics.errors import PressError
 from twin.mechanics.models import (
@@ -55,6 +56,15 @@ class FemModel(ElastomerModel):
             count=case.mechanics.tetrahedra,
         )
 
+    def rest_face_mm(
+        self, case: PressInput, x_mm: FloatArray, y_mm: FloatArray
+    ) -> FloatArray | None:
+        """Return world z (row, col), mm, of the pad's undeformed coated face; None for a slab."""
+        from twin.mechanics.reference.pad import rest_mm
+
+        pad = _pad(case.mechanics, case.elastomer)
+        return None if pad is None else rest_mm(pad, x_mm, y_mm)
+
 
 def _pad(mechanics: Mechanics, elastomer: Elastomer) -> "Pad | None":
     return None if mechanics.pad is None else read_pad(mechanics.pad, elastomer)
@@ -78,7 +88,14 @@ def read_pad(source: PadFile, elastomer: Elastomer) -> "Pad":
     coated = facing((0, 0, -1), source.facing_deg)
     window = on_plane("z", float(body.bounds[1, 2]))
     check_cover(body, coated, elastomer)
-    return Pad(body, elastomer.poisson_ratio, (Hold(window),), touched=coated, coated=coated)
+    return Pad(
+        body,
+        elastomer.poisson_ratio,
+        (Hold(window),),
+        touched=coated,
+        coated=coated,
+        is_designed=True,
+    )
 
 
 def _check_layout(elastomer: Elastomer) -> None:

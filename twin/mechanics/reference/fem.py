@@ -19,7 +19,14 @@ from twin.mechanics.hardness import young_modulus
 from twin.mechanics.layouts import Preload, preload_of
 from twin.mechanics.press import PressedElastomer
 from twin.mechanics.reference.active_set import ContactPoints, press_points
-from twin.mechanics.reference.pad import DEFAULT_COUNT, Pad, SlabSupport, mesh_pad, slab_pad
+from twin.mechanics.reference.pad import (
+    DEFAULT_COUNT,
+    Pad,
+    SlabSupport,
+    mesh_pad,
+    slab_pad,
+    smooth_face,
+)
 from twin.mechanics.reference.result import Scattered, check_depth, on_grids, sample
 from twin.mechanics.reference.taylor_hood import ElasticBody, Facets
 from twin.mechanics.reference.tetrahedra import Tetrahedra
@@ -41,13 +48,15 @@ class Face:
     #: (node, xyz) positions of all nodes of the pad before the press, and their displacements
     nodes_mm: FloatArray
     moved_mm: FloatArray
+    #: z of the undeformed face over (x, y) if it is known better than by the nodes
+    designed: CloughTocher2DInterpolator | None = None
 
     def undeformed_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
         """Return z of the undeformed face at points (...), mm."""
         z = self.nodes_mm[self.facets.nodes, 2]
         if np.ptp(z) < _FLAT_MM:
             return np.full(np.shape(x_mm), float(z.mean()))
-        return _within(self._rest, x_mm, y_mm)
+        return _within(self.designed or self._rest, x_mm, y_mm)
 
     def deflection_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
         """Return the displacement along z at points (...), mm, continuously differentiable."""
@@ -110,7 +119,8 @@ def press_pad(
     body = ElasticBody(mesh, pad.poisson_ratio, pad.holds)
     touched, coated = body.facets(pad.touched), body.facets(pad.coated)
     loaded = _preloaded(body, touched, coated, preload or Preload())
-    height = _gap(shape, Face(touched, body.nodes_mm, loaded))
+    designed = smooth_face(pad) if pad.is_designed else None
+    height = _gap(shape, Face(touched, body.nodes_mm, loaded, designed))
     yielding = touched.size_mm / (_FOUNDATION * touched.weight_mm2)
     gap = height + touched.trace @ loaded[:, 2]
     points = ContactPoints(touched.trace, body.nodes_mm, yielding, gap)
@@ -119,8 +129,8 @@ def press_pad(
     moved = body.solve(_thrust(body, touched, contact.force)) + loaded
     return PadPress(
         mesh=mesh,
-        touched=Face(touched, body.nodes_mm, moved),
-        coated=Face(coated, body.nodes_mm, moved),
+        touched=Face(touched, body.nodes_mm, moved, designed),
+        coated=Face(coated, body.nodes_mm, moved, designed),
         pressure_over_modulus=contact.force / touched.plan_mm2,
         force_over_modulus_mm2=float(contact.force.sum()),
         depth_mm=contact.depth_mm,

@@ -11,6 +11,7 @@ from typing import Literal
 
 import numpy as np
 import trimesh
+from scipy.interpolate import CloughTocher2DInterpolator
 
 from reconstruction.arrays import BoolArray, FloatArray
 from twin.config.models import Elastomer
@@ -41,6 +42,8 @@ _RIM: dict[SlabSupport, tuple[str, str]] = {
     "bonded": ("", ""),
     "window": ("x", "y"),
 }
+# Adjacent facets with a larger angle between their normals have a crease, not a curved surface.
+_CREASE_DEG = 15.0
 # This number gives 19 k unknowns, a run time of a dozen seconds and 0.6 GiB.
 DEFAULT_COUNT = 4000
 _SPACING_MM = 0.25
@@ -71,6 +74,8 @@ class Pad:
     #: selectors of the face that the specimen touches and of the coated face
     touched: Selector
     coated: Selector
+    #: whether the specimen touches the coated face and the surface of `body` is its drawing
+    is_designed: bool = False
 
 
 def facing(direction: tuple[float, float, float], within_deg: float = 60.0) -> Selector:
@@ -129,6 +134,39 @@ def check_cover(body: trimesh.Trimesh, coated: Selector, elastomer: Elastomer) -
         f"reaches beyond the coated face of mechanics.pad; allowed for this shape about "
         f"{allowed * lengths[0]:.3g} x {allowed * lengths[1]:.3g} mm: lower both"
     )
+
+
+def rest_mm(pad: Pad, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
+    """Return z (row, col), mm, of a pad's undeformed coated face.
+
+    Parameters
+    ----------
+    x_mm, y_mm : (col,) and (row,) float, mm
+    """
+    inside = 1 - 1e-7  # nodes on the rim
+    smooth = smooth_face(pad)
+    if smooth is not None:
+        return np.asarray(smooth(*np.meshgrid(inside * x_mm, inside * y_mm)))
+    facets = np.asarray(pad.body.triangles[_coated_facets(pad)])
+    return upper_side(facets, inside * x_mm, inside * y_mm)
+
+
+def smooth_face(pad: Pad) -> CloughTocher2DInterpolator | None:
+    """Return z over (x, y), mm, of a curved coated face with continuous slopes; None if creased.
+
+    It is interpolated between the vertices of the facets, which are on the designed surface. The
+    facets are inside a dome by up to edge^2 / (8 radius).
+    """
+    chosen = _coated_facets(pad)
+    within = chosen[pad.body.face_adjacency].all(axis=1)
+    if np.rad2deg(pad.body.face_adjacency_angles[within].max(initial=0.0)) > _CREASE_DEG:
+        return None
+    vertices = np.asarray(pad.body.vertices[np.unique(pad.body.faces[chosen])])
+    return CloughTocher2DInterpolator(vertices[:, :2], vertices[:, 2])
+
+
+def _coated_facets(pad: Pad) -> BoolArray:
+    return pad.coated(pad.body.triangles_center, pad.body.face_normals)
 
 
 def slab_pad(
