@@ -25,6 +25,7 @@ _GRID = 7
 _HEIGHTS_MM = (-1.0, 2.0)
 _MOST_MISFIT_PX = 0.5
 _MOST_OFF_RATIO = 0.03
+_RATIO_REMEDY = 'set [projector] pixel_ratio of capture.toml to this ratio, or to "diamond"'
 
 
 @dataclass(frozen=True)
@@ -69,12 +70,7 @@ def place(calibration: Calibration, pixel_ratio: PixelRatio = 1.0) -> Placed:
     require_plausible(rig_checks(calibration), "calibrate again, see docs/calibration.md")
     ratio = width_over_height(pixel_ratio)
     _require_ratio(calibration.camera, "camera", 1.0, "give images with square pixels")
-    _require_ratio(
-        calibration.projector,
-        "projector",
-        ratio,
-        'set [projector] pixel_ratio of capture.toml to this ratio, or to "diamond"',
-    )
+    _require_ratio(calibration.projector, "projector", ratio, _RATIO_REMEDY)
     origin = _looked_at(calibration)
     points = _points(calibration)
     camera, projector = calibration.camera, calibration.projector
@@ -114,15 +110,19 @@ def place(calibration: Calibration, pixel_ratio: PixelRatio = 1.0) -> Placed:
         )
 
     p = _fitted(off_px, start)
-    off = off_px(p).reshape(2, -1)
-    rms_px = np.sqrt(2.0 * np.mean(off**2, axis=1))
+    return _placed(p, off_px(p), float(origin[2]))
+
+
+def _placed(p: FloatArray, off_px: FloatArray, origin_z_mm: float) -> Placed:
+    """Return the rig of fitted parameters and residuals."""
+    rms_px = np.sqrt(2.0 * np.mean(off_px.reshape(2, -1) ** 2, axis=1))
     return Placed(
         _pose(p[2:5], p[5]),
         _pose(p[7:10], p[10]),
         float(p[6]),
         float(p[11]),
         float(p[12]),
-        (float(p[0]), float(p[1]), float(origin[2])),
+        (float(p[0]), float(p[1]), origin_z_mm),
         (float(rms_px[0]), float(rms_px[1])),
     )
 
