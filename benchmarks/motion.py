@@ -2,8 +2,8 @@
 
 Accuracy: a plane and a ball on a stage move along z, and across the view, at 0.1, 1 and 10 mm/s.
 Frames of each sequence, a phase frame and a code frame at both ends and one in between, are
-compared with the mean of whole stacks at rest, one at each Gauss node of the exposure, whose meshes
-are displaced and loaded anew. The error of the projector coordinate is that of random pixels, each
+compared with the mean of stacks at rest, one at each Gauss node of the exposure, with a displaced
+and separately loaded mesh. The error of the projector coordinate is that of random pixels, each
 traced at its own time. The last line has the largest of all cases.
 
 Time: loading and rendering of the shipped moving ball, all frames of 18 steps along both axes,
@@ -23,7 +23,7 @@ from twin.config import Experiment, load_experiment
 
 SMALL = {"camera.binning": 4, "camera.width_px": 640, "camera.height_px": 480}
 FAST = {"camera.exposure_ms": 2.8, "camera.frame_rate_hz": 130.0}
-# The plane is a disc whose centre, with thin facets that lose rays, is out of view.
+# The plane is a disc. Its centre, with thin facets that lose rays, is out of view.
 DISC = Path(__file__).parents[1] / "tests" / "optics" / "disc_on_stage.toml"
 SPECIMENS: dict[str, tuple[str | Path, dict[str, Any]]] = {
     "ball": ("examples/moving_ball", {}),

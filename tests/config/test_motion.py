@@ -1,4 +1,4 @@
-"""Motion and timing as data: poses in closed form, times of frames, and what cannot be."""
+"""Motion and timing as data: poses in closed form, times of frames, and rejected values."""
 
 import numpy as np
 import pytest

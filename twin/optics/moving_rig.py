@@ -20,7 +20,7 @@ Pixels = NDArray[np.uint32]
 
 
 @dataclass(frozen=True)
-class MovingDevice(Device):
+class PosedDevice(Device):
     """A camera or projector with one of several poses in each lane.
 
     Attributes
@@ -33,7 +33,7 @@ class MovingDevice(Device):
     pose_of_lane: Any = field(default=None)
 
     @classmethod
-    def of(cls, device: Device, rest_from_world: FloatArray, pose_of_lane: Any) -> "MovingDevice":
+    def of(cls, device: Device, rest_from_world: FloatArray, pose_of_lane: Any) -> "PosedDevice":
         """Return a device relative to a scene that is displaced by several motions.
 
         Parameters
@@ -74,7 +74,7 @@ def moving_rig(rig: Rig, displacements: FloatArray, pose_of_lane: Any) -> Rig:
     """
     rest_from_world = np.asarray(np.linalg.inv(displacements), np.float64)
     camera, projector = (
-        MovingDevice.of(device, rest_from_world, pose_of_lane)
+        PosedDevice.of(device, rest_from_world, pose_of_lane)
         for device in (rig.camera, rig.projector)
     )
     return replace(rig, camera=camera, projector=projector)
