@@ -43,7 +43,7 @@ def test_another_seed_gives_another_face_with_the_same_spectrum() -> None:
 
 def test_the_body_has_the_volume_of_plate_and_mean_plane() -> None:
     relief = RandomRelief(shortest_mm=1.0)
-    mesh = relief.shape().mesh()
+    mesh = relief.shape().body
     lowest = float(relief.heights_mm().min())
     assert mesh.is_watertight
     # Over a whole period the facets weigh all nodes equally, and the mean of the nodes is 0.

@@ -458,3 +458,9 @@ def _listed(pattern: str, file: Path) -> tuple[str, ...]:
             "'./parts/*.stl'"
         )
     return tuple(names)
+
+def without_absent(node: Any) -> Any:
+    """Return nested tables with every value "absent" replaced by None."""
+    if isinstance(node, dict):
+        return {key: without_absent(value) for key, value in node.items()}
+    return None if node == ABSENT else node
