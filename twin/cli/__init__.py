@@ -11,6 +11,7 @@ from reconstruction.machine import keep_freed_memory
 # These modules register their commands with the application.
 from twin.cli import calibration as calibration
 from twin.cli import captures as captures
+from twin.cli import dataset as dataset
 from twin.cli import forward as forward
 from twin.cli import inverse as inverse
 from twin.cli import results as results

@@ -459,6 +459,7 @@ def _listed(pattern: str, file: Path) -> tuple[str, ...]:
         )
     return tuple(names)
 
+
 def without_absent(node: Any) -> Any:
     """Return nested tables with every value "absent" replaced by None."""
     if isinstance(node, dict):

@@ -14,7 +14,6 @@ from typing import Any
 import tomli_w
 
 from reconstruction.errors import InputError, counted
-from reconstruction.reading import read_json
 from reconstruction.writing import write_bytes, write_text
 from twin.config import Experiment
 from twin.config.dataset import SPLITS, Recipe
@@ -192,7 +191,9 @@ def _packed(
         entry = None if draw.case is None else entries.get(draw.case.digest)
         if entry is not None and entry.state == "done":
             folder = store.path_of(entry.digest)
-            samples.append(PackedSample(draw.key, draw.split, _files(folder), _described(draw, entry.figures)))
+            samples.append(
+                PackedSample(draw.key, draw.split, _files(folder), _described(draw, entry.figures))
+            )
             row |= {"state": "done"}
             row |= {f"{FIGURE}{name}": value for name, value in _plain(entry.figures).items()}
         elif draw.case is not None:

@@ -243,7 +243,11 @@ def _along(axis: Axis) -> Mapping[str, SampleQuantity]:
             ("fringes",),
         ),
         f"phase_{axis}_rad": SampleQuantity(
-            PIXELS, "rad", f"true absolute phase along {axis}s; 0 where not lit", at(_phase_32), needs
+            PIXELS,
+            "rad",
+            f"true absolute phase along {axis}s; 0 where not lit",
+            at(_phase_32),
+            needs,
         ),
         f"wrapped_phase_{axis}_rad": SampleQuantity(
             PIXELS, "rad", f"true phase along {axis}s in [0, 2 pi)", at(_wrapped_phase), needs
@@ -336,7 +340,11 @@ SAMPLE_QUANTITIES: Mapping[str, SampleQuantity] = {
         lambda taken: taken.truth.lit.astype(np.uint8),
     ),
     "contact": SampleQuantity(
-        PIXELS, "1", "1 where the elastomer below the point touches the object", _contact, ("press",)
+        PIXELS,
+        "1",
+        "1 where the elastomer below the point touches the object",
+        _contact,
+        ("press",),
     ),
     "pressure_kpa": SampleQuantity(
         PIXELS, "kPa", "contact pressure below the point", _pressure, ("press",)

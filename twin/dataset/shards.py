@@ -53,7 +53,7 @@ class PackedSample:
 
     def contents(self) -> Iterator[tuple[str, bytes]]:
         """Yield name and bytes of every file, sorted by name."""
-        named = {**{name: None for name in self.files}, SAMPLE_JSON: None}
+        named = {**dict.fromkeys(self.files), SAMPLE_JSON: None}
         for name in sorted(named):
             known = self.json_bytes if name == SAMPLE_JSON else self.files[name].read_bytes()
             yield name, known
