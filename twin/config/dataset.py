@@ -113,8 +113,12 @@ class Recipe(Model):
         return self
 
     def axes_of(self, scene: RecipeScene) -> tuple[Axis, ...]:
-        """Return the axes that are drawn for a scene: those of all scenes, then its own."""
-        return (*self.axis, *scene.axis)
+        """Return the axes that are drawn for a scene, in the order in which they are applied.
+
+        The scene's own axes come first: the axes of all scenes may set keys of a specimen or
+        material that one of them selects.
+        """
+        return (*scene.axis, *self.axis)
 
 
 def _repeated(names: Sequence[str]) -> list[str]:

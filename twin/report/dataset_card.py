@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from reconstruction.writing import write_text
@@ -27,8 +28,8 @@ from twin.results.rows import is_number
 
 README, SAMPLES_PNG, DRAWN_PNG = "README.md", "samples.png", "distributions.png"
 MOST_PICTURES = 24
-_ACROSS, _CELL_IN, _ROOM_IN = 6, 1.5, 0.3
-_BINS, _PANEL_IN, _PANELS_ACROSS, _MOST_BARS = 30, 2.1, 4, 12
+_ACROSS, _CELL_IN, _ROOM_IN, _GAP_IN = 6, 1.5, 0.3, 0.05
+_MOST_BINS, _PANEL_IN, _PANELS_ACROSS, _MOST_BARS = 30, 2.1, 4, 12
 _LOG_RANGE = 20.0  # ratio of largest to smallest value above which bins are logarithmic
 _PICTURED = ("frames", "radiance", "image", "white")
 _MAPS = ("depth_mm", "phase_column_rad", "phase_row_rad", "pressure_kpa")
@@ -189,18 +190,26 @@ def draw_samples(path: Path, samples: Sequence[PackedSample]) -> None:
     """
     shown = [samples[i] for i in evenly_spaced(len(samples), MOST_PICTURES)]
     rows = -(-len(shown) // _ACROSS)
-    height_in = rows * (2 * _CELL_IN + _ROOM_IN) + 0.1
+    cell_in = _CELL_IN * max(map(_height_over_width, shown))
+    height_in = rows * (2 * cell_in + _ROOM_IN + _GAP_IN) + 0.1
     width_in = min(len(shown), _ACROSS) * (_CELL_IN + 0.1) + 0.1
     with drawing(path, width_in, height_in) as figure:
         for number, sample in enumerate(shown):
             row, col = divmod(number, _ACROSS)
             left_in = 0.1 + col * (_CELL_IN + 0.1)
-            top_in = row * (2 * _CELL_IN + _ROOM_IN) + _ROOM_IN
-            above = axes_at(figure, left_in, top_in, _CELL_IN, _CELL_IN)
-            below = axes_at(figure, left_in, top_in + _CELL_IN, _CELL_IN, _CELL_IN)
+            top_in = row * (2 * cell_in + _ROOM_IN + _GAP_IN) + _ROOM_IN
+            above = axes_at(figure, left_in, top_in, _CELL_IN, cell_in)
+            below = axes_at(figure, left_in, top_in + cell_in + _GAP_IN, _CELL_IN, cell_in)
             above.set_title(f"{sample.key} {sample.described['scene']}", fontsize=6.5, pad=2.0)
             _show_image(above, sample)
             _show_map(below, sample)
+
+
+def _height_over_width(sample: PackedSample) -> float:
+    """Return the ratio of the sides of the images of a sample."""
+    image = _image_of(sample)
+    values = _map_of(sample) if image is None else image
+    return 1.0 if values is None else values.shape[0] / values.shape[1]
 
 
 def evenly_spaced(count: int, most: int) -> list[int]:
@@ -236,14 +245,21 @@ def _image_of(sample: PackedSample) -> NDArray[Any] | None:
 
 def _show_map(axes: Axes, sample: PackedSample) -> None:
     no_ticks(axes)
+    values = _map_of(sample)
+    if values is None:
+        axes.set_axis_off()
+    else:
+        axes.imshow(np.ma.masked_array(values, values == 0), cmap=sequential())
+
+
+def _map_of(sample: PackedSample) -> NDArray[Any] | None:
+    """Return the map that is drawn of a sample; None if it has none."""
     name = next((name for name in _MAPS if f"{name}.npy" in sample.files), None)
     if name is None:
-        axes.set_axis_off()
-        return
-    values = npy_array(sample.files[f"{name}.npy"].read_bytes())
+        return None
+    values: NDArray[Any] = npy_array(sample.files[f"{name}.npy"].read_bytes())
     # Depth increases away from the camera: drawn negative, so that high points are bright.
-    sign = -1.0 if name == "depth_mm" else 1.0
-    axes.imshow(np.ma.masked_array(sign * values, values == 0), cmap=sequential())
+    return -values if name == "depth_mm" else values
 
 
 def drawn_columns(packed: PackedDataSet) -> dict[str, list[Any]]:
@@ -267,7 +283,7 @@ def draw_distributions(path: Path, columns: Mapping[str, Sequence[Any]]) -> None
     """
     across = min(len(columns), _PANELS_ACROSS)
     rows = -(-len(columns) // _PANELS_ACROSS)
-    step_across, step_down = _PANEL_IN + 0.6, 0.8 * _PANEL_IN + 0.75
+    step_across, step_down = _PANEL_IN + 0.6, 0.8 * _PANEL_IN + 1.0
     with drawing(path, across * step_across + 0.2, rows * step_down) as figure:
         for number, (name, values) in enumerate(columns.items()):
             row, col = divmod(number, _PANELS_ACROSS)
@@ -281,16 +297,19 @@ def draw_distributions(path: Path, columns: Mapping[str, Sequence[Any]]) -> None
 
 
 def _show_distribution(axes: Axes, values: Sequence[Any]) -> None:
+    """Draw a histogram of numbers; of names, or of few numbers that repeat, the counts."""
     levels = Counter(map(_label, values))
-    if len(levels) > _MOST_BARS and all(map(is_number, values)):
+    axes.yaxis.set_major_locator(MaxNLocator(integer=True))
+    if all(map(is_number, values)) and (len(levels) > _MOST_BARS or 2 * len(levels) > len(values)):
         numbers = np.array(values, np.float64)
         low, high = float(numbers.min()), float(numbers.max())
+        bins = min(_MOST_BINS, 2 + int(np.sqrt(len(numbers))))
         if low > 0 and high > _LOG_RANGE * low:
             axes.set_xscale("log")
-            bins = np.geomspace(low, high, _BINS + 1)
+            edges = np.geomspace(low, high, bins + 1)
         else:
-            bins = np.linspace(low, high, _BINS + 1)
-        axes.hist(numbers, bins=bins.tolist(), color=MEASURED)
+            edges = np.histogram_bin_edges(numbers, bins)
+        axes.hist(numbers, bins=edges.tolist(), color=MEASURED)
         return
     shown = levels.most_common(_MOST_BARS)
     axes.bar(range(len(shown)), [count for _, count in shown], color=MEASURED)

@@ -20,7 +20,8 @@ from twin.config.specimen_base import SPECIMENS, Specimen
 from twin.specimens.meshes import MeshShape
 from twin.specimens.solids import height_grid_body
 
-_NODES_PER_WAVE = 4
+# The facets of the face are rendered flat for shadows: their slope must follow that of the waves.
+_NODES_PER_WAVE = 12
 _MOST_NODES = 1024
 
 
@@ -67,7 +68,7 @@ class RandomRelief(Specimen):
 
     @property
     def nodes(self) -> int:
-        """Number of nodes along one period of the face: four per shortest wavelength."""
+        """Number of nodes along one period of the face: twelve per shortest wavelength."""
         return int(np.ceil(_NODES_PER_WAVE * self.length_mm / self.shortest_mm))
 
     def heights_mm(self) -> FloatArray:
