@@ -326,9 +326,12 @@ def _prediction_files(folder: Path) -> dict[str, dict[str, Path]]:
 
 def _read_prediction(path: Path) -> Array:
     try:
-        return np.asarray(np.load(io.BytesIO(read_bytes(path)), allow_pickle=False))
+        values = np.asarray(np.load(io.BytesIO(read_bytes(path)), allow_pickle=False))
     except (ValueError, EOFError) as error:
         raise InputError(f"{path}: is no .npy file of numbers ({error})") from None
+    if values.dtype.kind not in "fiub":
+        raise InputError(f"{path}: is no .npy file of numbers (it has the type {values.dtype})")
+    return values
 
 
 def _require_truth(dataset: Path, names: Iterable[str], where: str) -> None:

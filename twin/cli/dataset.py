@@ -67,16 +67,19 @@ def dataset(
     draws = draw_all(loaded, bases, samples)
     if dry_run:
         return _print_plan(draws)
+    work = work_folder(out)
     with progress_bars() as watch:
         outcome = take_samples(
             loaded,
             draws,
-            work_folder(out),
+            work,
             workers_of(workers, cluster),
             retry=retry,
             watch=watch,
         )
-        packed = pack(loaded, bases, draws, out, inputs=[recipe], watch=watch, present=write_card)
+        packed = pack(
+            loaded, bases, draws, work, out, inputs=[recipe], watch=watch, present=write_card
+        )
     _print_reasons(packed.failures)
     say(
         f"{counted(len(packed.samples), 'sample')} of {samples} in {outcome.seconds:.1f} s; "

@@ -16,7 +16,7 @@ import numpy as np
 from twin.config import ConfigError, Experiment, vary
 from twin.config.dataset import Recipe, RecipeScene
 from twin.config.digest import keyed_sequence, with_file_contents
-from twin.config.study import without_absent
+from twin.config.study import Level, without_absent
 from twin.study.cases import Case, case_of
 from twin.study.measuring import Conditions
 from twin.study.trials import draw, drawn_values
@@ -75,12 +75,12 @@ def draw_sample(recipe: Recipe, bases: Sequence[Experiment], number: int) -> Sam
     ------
     ConfigError : a key of the inputs is not in the experiment
     """
-    scene, base = _scene_of(recipe, bases, number)
+    place = scene_of(recipe, number)
+    scene, base = recipe.scene[place], bases[place]
+    levels = levels_of(recipe, scene, number)
+    settings = {title: level.label for title, level in levels.items()}
     changes: dict[str, Any] = {}
-    settings: dict[str, Any] = {}
-    for axis in recipe.axes_of(scene):
-        level = axis.level_at(share_of(recipe.seed, f"axis {axis.title}", number))
-        settings[axis.title] = level.label
+    for level in levels.values():
         changes |= without_absent(dict(level.changes))
     try:
         experiment = vary(base, changes)
@@ -102,14 +102,19 @@ def _with_content(case: Case, recipe: Recipe) -> Case:
     return replace(case, digest=hashlib.blake2b(named.encode(), digest_size=8).hexdigest())
 
 
-def _scene_of(
-    recipe: Recipe, bases: Sequence[Experiment], number: int
-) -> tuple[RecipeScene, Experiment]:
-    """Return the scene of a sample, drawn with the weights of the scenes, and its experiment."""
+def scene_of(recipe: Recipe, number: int) -> int:
+    """Return the place of the scene of a sample, drawn with the weights of the scenes."""
     ends = np.cumsum([scene.weight for scene in recipe.scene])
     share = share_of(recipe.seed, "scene", number)
-    place = min(int(np.searchsorted(ends, share * ends[-1], side="right")), len(ends) - 1)
-    return recipe.scene[place], bases[place]
+    return min(int(np.searchsorted(ends, share * ends[-1], side="right")), len(ends) - 1)
+
+
+def levels_of(recipe: Recipe, scene: RecipeScene, number: int) -> dict[str, Level]:
+    """Return the drawn level of each axis of a scene, by the title of the axis."""
+    return {
+        axis.title: axis.level_at(share_of(recipe.seed, f"axis {axis.title}", number))
+        for axis in recipe.axes_of(scene)
+    }
 
 
 def object_digest(experiment: Experiment) -> str:

@@ -127,6 +127,7 @@ def pack(
     recipe: Recipe,
     bases: tuple[Experiment, ...],
     draws: tuple[SampleDraw, ...],
+    work: Path,
     out: Path,
     *,
     inputs: Sequence[Path] = (),
@@ -137,6 +138,7 @@ def pack(
 
     Parameters
     ----------
+    work : store of the samples
     inputs : files that the command reads
     present : writes data card and pictures
 
@@ -145,7 +147,7 @@ def pack(
     InputError : `out` cannot be written, no sample has a result, or pyarrow is not installed
     """
     arrow(INDEX_PARQUET)
-    samples, rows = _packed(draws, Store(work_folder(out)))
+    samples, rows = _packed(draws, Store(work))
     if not samples:
         reasons = "; ".join(dict.fromkeys(str(row["reason"]) for row in rows))
         raise InputError(f"{out}: no sample has a result: {reasons}")

@@ -402,8 +402,8 @@ def check_held(held: tuple[str, ...], experiment: Experiment) -> None:
         missing = [need for need in SAMPLE_QUANTITIES[name].needs if need not in traits]
         if missing:
             raise InputError(
-                f"sample.hold: {name}: needs {_NEEDS[missing[0]]}, which {experiment.name} has "
-                "not; remove the name, or change the scene"
+                f"sample.hold: {name}: needs {_NEEDS[missing[0]]}; {experiment.name} has none; "
+                "remove the name, or change the scene"
             )
 
 
