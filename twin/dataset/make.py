@@ -27,7 +27,7 @@ from twin.dataset.shards import (
     npy_array,
     write_shards,
 )
-from twin.dataset.taking import SAMPLE_FOLDER, SampleMeasuring
+from twin.dataset.taking import SAMPLE_FOLDER, SampleMeasurer, SampleMeasuring
 from twin.output import output_folder, write_json, write_outcome
 from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.results.figures import Metrics
@@ -104,8 +104,14 @@ def take_samples(
     *,
     retry: bool = False,
     watch: ProgressCallback = no_progress,
+    measurer: type[SampleMeasurer] = SampleMeasurer,
 ) -> SweepOutcome:
     """Compute the samples that the store `work` lacks.
+
+    Parameters
+    ----------
+    retry : also compute samples again that failed because of their experiment
+    measurer : importable class of the measurer of each worker
 
     Raises
     ------
@@ -113,7 +119,7 @@ def take_samples(
     MissingBackend : there is no usable Dr.Jit backend
     """
     cases = Cases(tuple(draw.case for draw in draws if draw.case is not None), 0)
-    make = SampleMeasuring(recipe.sample, work.absolute() / "calibrations")
+    make = SampleMeasuring(recipe.sample, work.absolute() / "calibrations", measurer)
     (outcome,) = run_groups([CaseGroup(work, cases, make)], workers, watch, retry=retry)
     if outcome.unsaved:
         reason = next(iter(outcome.unsaved.values()))

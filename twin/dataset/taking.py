@@ -73,14 +73,22 @@ class SampleMeasurer(CaseMeasurer):
 
 @dataclass(frozen=True)
 class SampleMeasuring:
-    """Factory of the measurer of a worker; equal factories share one measurer."""
+    """Factory of the measurer of a worker; equal factories share one measurer.
+
+    Attributes
+    ----------
+    content : quantities that each sample contains
+    calibrations : folder that caches the calibrations of photometric sensors; None: no cache
+    measurer : class of the measurer
+    """
 
     content: SampleContent
     calibrations: Path | None = None
+    measurer: type[SampleMeasurer] = SampleMeasurer
 
     def __call__(self, keep: tuple[str, ...]) -> SampleMeasurer:
         """Return a measurer with an empty cache."""
-        return SampleMeasurer(keep, calibrations=self.calibrations, content=self.content)
+        return self.measurer(keep, calibrations=self.calibrations, content=self.content)
 
 
 def take_sample(
