@@ -17,7 +17,6 @@ from twin.cli import inverse as inverse
 from twin.cli import results as results
 from twin.cli import start as start
 from twin.cli import studies as studies
-from twin.cli import view as view
 from twin.cli.app import app, guarded
 from twin.cli.plugins import load_plugins
 from twin.cli.talk import choose_level, introduce
