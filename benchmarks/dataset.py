@@ -1,8 +1,9 @@
 """Data sets: samples per hour, share of writing, kills and resumption, number of workers.
 
 - direct projection and a thin sheet: samples per hour, one after another on this machine;
-- 300 scenes of 960 x 960 pixels with 52 frames, what VIRTUS-FPP's published set has: minutes. With
-  `--quick` 3 scenes are computed and the time is scaled to 300 (`fpp_ml_scenes` states the number);
+- 300 scenes of 960 x 960 pixels with 53 frames: minutes (the published set of VIRTUS-FPP has 52
+  frames). With `--quick` 3 scenes are computed and the time is scaled to 300; `fpp_ml_scenes`
+  states the number;
 - the share of the time of this set that is not spent on computing samples: store and shards;
 - a small set is made in one go, by two workers, and by runs that are killed 10 times (2 with
   `--quick`) at random moments: the shards must have the same bytes;
