@@ -23,6 +23,7 @@ from twin.specimens.kinds.flat import Flat
 from twin.specimens.kinds.grating import Grating
 from twin.specimens.kinds.group import Group
 from twin.specimens.kinds.nut import Nut
+from twin.specimens.kinds.random_relief import RandomRelief
 from twin.specimens.kinds.rod import Rod
 from twin.specimens.kinds.rods import Rods
 from twin.specimens.kinds.step import Step
@@ -49,6 +50,7 @@ SPECIMENS: list[tuple[str, Specimen, bool]] = [
     ("step", Step(height_mm=1.5, yaw_deg=30), False),
     ("v_groove", VGroove(depth_mm=2.0, yaw_deg=30), False),
     ("grating", Grating(groove_mm=0.8, yaw_deg=30), False),
+    ("random_relief", RandomRelief(rms_um=400.0, longest_mm=8.0), False),
     ("group", Group(parts={"nut": Nut(x_mm=-6.0), "ball": Ball(x_mm=6.0)}), False),
 ]
 TILT_DEG = 40.0

@@ -21,6 +21,11 @@ if TYPE_CHECKING:
         slope_change_width,
         step_height,
     )
+    from reconstruction.evaluate.predictions import (
+        PredictionScore,
+        score_baseline,
+        score_predictions,
+    )
     from reconstruction.evaluate.robust import BallFit, CylinderFit, fit_ball, fit_cylinder
 
 __all__ = [
@@ -29,6 +34,7 @@ __all__ = [
     "BarWidth",
     "CylinderFit",
     "Flatness",
+    "PredictionScore",
     "StepHeight",
     "areal_roughness",
     "bar_width",
@@ -37,6 +43,8 @@ __all__ = [
     "fit_cylinder",
     "fit_sphere_algebraic",
     "flatness",
+    "score_baseline",
+    "score_predictions",
     "slope_change_width",
     "step_height",
 ]
@@ -53,6 +61,9 @@ _MODULES = {
     "flatness": "plane",
     "slope_change_width": "plane",
     "step_height": "plane",
+    "PredictionScore": "predictions",
+    "score_baseline": "predictions",
+    "score_predictions": "predictions",
     "BallFit": "robust",
     "CylinderFit": "robust",
     "fit_ball": "robust",

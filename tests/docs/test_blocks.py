@@ -42,6 +42,7 @@ _VIEW = "../viewer/test_server.py::test_object_devices_and_section_are_in_the_sc
 _SETUP = "../packaging/test_run.py::test_first_call_sets_up_then_runs_where_the_user_is"
 _RIG_FILE = "../cli/test_real_rig.py::test_listed_columns_only_give_the_heights_of_the_example"
 _MINIMAL = "test_first_examples.py::test_the_minimal_experiment_of_the_readme_reads_its_ball"
+_DATASETS = "../dataset/test_document.py"
 _GAUGES = "../cli/test_evaluation_document.py::test_figures_of_the_document"
 JUDGES = {
     "README.md: ./run demo": _DEMO,
@@ -66,6 +67,10 @@ JUDGES = {
     "docs/compensation.md: # layer.toml": "test_blocks.py::test_layer_file",
     "docs/compensation.md: fitted =": "test_blocks.py::test_layer_file",
     "docs/motion.md: name": "test_blocks.py::test_the_tables_of_a_motion",
+    "docs/datasets.md: name =": f"{_DATASETS}::test_the_recipe_of_the_page",
+    "docs/datasets.md: import io": f"{_DATASETS}::test_the_loader_of_the_page",
+    "docs/datasets.md: import webdataset": f"{_DATASETS}::test_loaders_of_other_packages",
+    "docs/datasets.md: import datasets": f"{_DATASETS}::test_loaders_of_other_packages",
     "docs/decoding.md: [patterns]": "test_blocks.py::test_patterns_table",
     "docs/evaluation.md: import h5netcdf": _GAUGES,
     "docs/evaluation.md: from reconstruction.evaluate": _GAUGES,

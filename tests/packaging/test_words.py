@@ -24,10 +24,10 @@ INSTEAD = {
     r"\babsent:": "default:",
     r"\bbars? (?:is|are) met\b|\bwithin (?:its|their) bars?\b": "target",
 }
-COMMANDS = ("adopt", "calibrate", "compare", "compensate", "completion", "decode", "demo",
-            "describe", "doctor", "export", "identify", "init", "keys", "measure", "paper",
+COMMANDS = ("adopt", "calibrate", "compare", "compensate", "completion", "dataset", "decode",
+            "demo", "describe", "doctor", "export", "identify", "init", "keys", "measure", "paper",
             "patterns", "press",
-            "reconstruct", "render", "report", "sweep", "uncertainty", "view")  # fmt: skip
+            "reconstruct", "render", "report", "score", "sweep", "uncertainty", "view")  # fmt: skip
 
 
 def written() -> Iterator[tuple[str, str]]:

@@ -11,12 +11,12 @@ from reconstruction.machine import keep_freed_memory
 # These modules register their commands with the application.
 from twin.cli import calibration as calibration
 from twin.cli import captures as captures
+from twin.cli import dataset as dataset
 from twin.cli import forward as forward
 from twin.cli import inverse as inverse
 from twin.cli import results as results
 from twin.cli import start as start
 from twin.cli import studies as studies
-from twin.cli import view as view
 from twin.cli.app import app, guarded
 from twin.cli.environment import check_environment, prepare_environment
 from twin.cli.plugins import load_plugins

@@ -1,4 +1,7 @@
-"""Commands for the results of measurements: dimensions, object behind the coat, clouds, reports."""
+"""Commands for the results of measurements: dimensions, object behind the coat, clouds, reports.
+
+The live view shows an experiment or a result in a browser.
+"""
 
 from functools import partial
 from pathlib import Path
@@ -6,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from twin.cli.app import Out, Report, app, print_metrics, progress_bars, say
+from twin.cli.app import Out, Report, Settings, app, load, print_metrics, progress_bars, say
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -170,3 +173,40 @@ def _drawer(folder: Path) -> "Callable[..., Path]":
     from twin.report.side_by_side import draw_side_by_side
 
     return partial(write_report, draw=draw_side_by_side)
+
+
+@app.command
+def view(
+    source: Annotated[
+        Path, Parameter(help="experiment, as for twin measure, or the folder of a measurement")
+    ],
+    /,
+    *,
+    settings: Settings = None,
+    host: str = "127.0.0.1",
+    port: int = 8080,
+) -> None:
+    """Change the design by sliders in a browser; image, error map and figures follow.
+
+    Parameters
+    ----------
+    host
+        Address to listen on; with 0.0.0.0 other computers in the network can open the page.
+    port
+        Port to listen on, or the next free port.
+    """
+    from twin.viewer.live import LiveView, viser_module
+
+    viser_module()
+    measured = None
+    if source.is_dir():
+        from twin.results.folder import read_measurement
+
+        measured = read_measurement(source)
+    experiment = load(source / "experiment.toml" if measured else source, settings)
+    shown = LiveView(experiment, measured, host, port, str(source))
+    say(f"open {shown.address} in a browser; Ctrl-C ends it")
+    try:
+        shown.serve()
+    finally:
+        shown.close()

@@ -9,7 +9,7 @@ draw values from a range without a count, or select levels.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -17,7 +17,7 @@ from pydantic import Field, field_validator, model_validator
 
 from reconstruction.reading import is_regular
 from twin.assets import scene_file
-from twin.config.base import Model
+from twin.config.base import ConfigError, Model
 from twin.config.bounds import Figure
 from twin.config.inputs import Input, load_inputs, require_distinct_keys, with_sources
 from twin.config.loading import ABSENT, load_experiment, read_toml, resolve_uses, vary
@@ -57,6 +57,12 @@ class Axis(Model):
         default=None,
         description="named sets of tables that override those of the experiment; may `use` files",
     )
+    files: str | None = Field(
+        default=None,
+        exclude_if=lambda pattern: pattern is None,
+        description="files of a folder as values, in the order of their names: './parts/*.stl', "
+        "relative to the file that states it",
+    )
     source: str | None = Field(
         default=None,
         description="reason for values outside the range that a data file states",
@@ -72,8 +78,9 @@ class Axis(Model):
     @model_validator(mode="after")
     def _one_kind_of_levels(self) -> "Axis":
         ranged = self.low is not None or self.high is not None or self.count is not None
-        if (self.values is not None) + ranged + (self.choices is not None) != 1:
-            raise ValueError("takes one of values, low and high, or choices")
+        others = (self.values, self.choices, self.files)
+        if ranged + sum(levels is not None for levels in others) != 1:
+            raise ValueError("takes one of values, low and high, choices, or files")
         if self.choices is not None:
             return self._checked_choices()
         if self.path is None:
@@ -389,16 +396,26 @@ def load_study(path: str | Path) -> tuple[Study, Experiment]:
 
 
 def _study_of(tree: dict[str, Any], where: str, file: Path) -> Study:
-    study = validated(Study, _with_inputs(tree, where, file), f"{where}: ")
-    axes = tuple(_with_files(axis, file) for axis in study.axis)
+    study = validated(Study, with_inputs(tree, where, file), f"{where}: ")
+    axes = tuple(with_files(axis, file) for axis in study.axis)
     laid = without_absent(resolve_uses(study.set, (file,)))
     return study.model_copy(update={"axis": axes, "set": laid})
 
 
-def _with_inputs(tree: dict[str, Any], where: str, file: Path) -> dict[str, Any]:
-    """Return the tables of a study with the inputs of its `inputs_file`.
+def with_inputs(tree: dict[str, Any], where: str, file: Path) -> dict[str, Any]:
+    """Return the tables of a study or recipe with the inputs of its `inputs_file`.
 
-    Keys of the study's own inputs override those of the file.
+    Keys of its own inputs override those of the file.
+
+    Parameters
+    ----------
+    tree : tables as read from TOML
+    where : name of the study, for messages
+    file : file of the study, to which names of files are relative
+
+    Raises
+    ------
+    ConfigError : the inputs are invalid
     """
     own, named = with_sources(tree, where), tree.get("inputs_file")
     if not isinstance(named, str) or not named:
@@ -411,12 +428,36 @@ def _with_inputs(tree: dict[str, Any], where: str, file: Path) -> dict[str, Any]
     return own | {"inputs": merged}
 
 
-def _with_files(axis: Axis, file: Path) -> Axis:
-    """Return the axis with the files that choices `use` replaced by the values in the files."""
+def with_files(axis: Axis, file: Path) -> Axis:
+    """Return the axis with the values of the files that its choices `use`, and the listed files.
+
+    Parameters
+    ----------
+    file : file that states the axis, to which names of files are relative
+
+    Raises
+    ------
+    ConfigError : no file has a name of the pattern `files`, or a used file is invalid
+    """
+    if axis.files is not None:
+        return axis.model_copy(update={"values": _listed(axis.files, file), "files": None})
     if axis.choices is None:
         return axis
     read = {label: resolve_uses(tree, (file,)) for label, tree in axis.choices.items()}
     return axis.model_copy(update={"choices": read})
+
+
+def _listed(pattern: str, file: Path) -> tuple[str, ...]:
+    """Return the names of the files of a pattern such as "./parts/*.stl", sorted."""
+    relative = PurePath(pattern)
+    folder = file.parent / relative.parent
+    names = sorted(str(path) for path in folder.glob(relative.name) if is_regular(path))
+    if not names:
+        raise ConfigError(
+            f"{file}: files = '{pattern}': found no such file in {folder}; give a pattern such as "
+            "'./parts/*.stl'"
+        )
+    return tuple(names)
 
 
 def without_absent(node: Any) -> Any:

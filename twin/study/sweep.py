@@ -206,13 +206,18 @@ class CaseGroup:
 
 
 def run_groups(
-    groups: Sequence[CaseGroup], workers: Workers, watch: ProgressCallback = no_progress
+    groups: Sequence[CaseGroup],
+    workers: Workers,
+    watch: ProgressCallback = no_progress,
+    *,
+    retry: bool = False,
 ) -> list[SweepOutcome]:
     """Compute the missing cases of several stores on the same workers; return the outcomes.
 
     Parameters
     ----------
     groups : cases, each group with its own folder, in order of priority (see `run_together`)
+    retry : also run cases again that failed because of their experiment
 
     Raises
     ------
@@ -224,7 +229,9 @@ def run_groups(
         if group.record is not None:
             write_record(group.folder, group.record)
     with ExitStack() as stack:
-        sessions = [stack.enter_context(_session_of(group, workers, watch)) for group in groups]
+        sessions = [
+            stack.enter_context(_session_of(group, workers, watch, retry)) for group in groups
+        ]
         parts = [
             (session.compute, session.wanted(group.cases))
             for session, group in zip(sessions, groups, strict=True)
@@ -234,10 +241,10 @@ def run_groups(
 
 
 def _session_of(
-    group: CaseGroup, workers: Workers, watch: ProgressCallback
+    group: CaseGroup, workers: Workers, watch: ProgressCallback, retry: bool
 ) -> AbstractContextManager[_Session]:
     keep = () if group.record is None else group.record.study.keep
-    return _session(Store(group.folder), workers, keep, group.make_measurer, watch, retry=False)
+    return _session(Store(group.folder), workers, keep, group.make_measurer, watch, retry=retry)
 
 
 @contextmanager

@@ -193,14 +193,14 @@ def write_parquet(table: StudyTable, path: Path) -> None:
         import pyarrow.parquet
     except ModuleNotFoundError:
         raise missing("--parquet", "pyarrow", "sweep") from None
-    columns = {name: _column([row.get(name) for row in table.rows]) for name in table.columns}
+    columns = {name: one_type([row.get(name) for row in table.rows]) for name in table.columns}
     memory = io.BytesIO()
     pyarrow.parquet.write_table(pyarrow.table(columns), memory)
     with creating(path) as part:
         write_bytes(part, memory.getbuffer())
 
 
-def _column(values: list[Any]) -> list[Any]:
+def one_type(values: list[Any]) -> list[Any]:
     """Return the values of a column as one type; None remains None.
 
     Integers mixed with floats become floats. Any other mixture of types becomes text.

@@ -1,0 +1,224 @@
+"""Data sets: samples per hour, share of writing, kills and resumption, number of workers.
+
+- direct projection and a thin sheet: samples per hour, one after another on this machine;
+- 300 scenes of 960 x 960 pixels with 53 frames: minutes (the published set of VIRTUS-FPP has 52
+  frames). With `--quick` 3 scenes are computed and the time is scaled to 300; `fpp_ml_scenes`
+  states the number;
+- the share of the time of this set that is not spent on computing samples: store and shards;
+- a small set is made in one go, by two workers, and by runs that are killed 10 times (2 with
+  `--quick`) at random moments: the shards must have the same bytes;
+- Kolmogorov-Smirnov tests of 2000 drawn values of a uniform, a log-uniform and a normal quantity.
+
+The first sample, which compiles kernels, is not counted. Last line:
+{"samples_per_hour_direct": ..., "samples_per_hour_sheet": ..., "images_per_s": ...,
+"write_share": ..., "resume_equal": true, "fpp_ml_bench_minutes": ..., ...}.
+"""
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from benchmarks._harness import print_figures, quick_parser
+from twin.config import Experiment
+from twin.config.dataset import Recipe, load_recipe
+from twin.dataset.draws import levels_of
+from twin.dataset.make import draw_all, pack, take_samples
+from twin.dataset.taking import SampleMeasurer
+from twin.study.measuring import NOMINAL_CONDITIONS, CaseResult, Conditions
+from twin.study.trials import drawn_values
+from twin.study.workers import local_workers
+
+HOLD = '["frames", "depth_mm", "normal_world", "label", "lit"]'
+RELIEF = """
+[scene.set.specimen]
+kind = "random_relief"
+material = { use = "materials/diffuse/gray_print" }
+[[scene.axis]]
+path = "specimen.seed"
+low = 0
+high = 4294967295
+integer = true
+[[scene.axis]]
+path = "specimen.rms_um"
+low = 10.0
+high = 200.0
+scale = "log"
+[inputs.angle]
+group = "optics"
+key = "projector.pose.polar_deg"
+distribution = "normal"
+spread = 0.5
+"""
+SHEET = """
+[[scene.axis]]
+path = "specimen.diameter_mm"
+low = 6.0
+high = 10.0
+"""
+DIRECT_SIZE = {"binning": 4, "width_px": 1936, "height_px": 1464}
+SMALL_SIZE = {"binning": 4, "width_px": 320, "height_px": 240}
+ML_SIZE = {"binning": 1, "width_px": 960, "height_px": 960}
+ML_SCENES, LEAST_P = 300, 0.01
+_computing_s = 0.0
+
+
+def recipe_text(base: str, size: Mapping[str, int], more: str) -> str:
+    """Return a recipe with one scene."""
+    camera = "\n".join(f"{name} = {value}" for name, value in size.items())
+    scene = f'[[scene]]\nname = "scene"\nbase = "{base}"\n[scene.set.camera]\n{camera}\n'
+    split = "[split]\ntrain = 0.0\nvalidation = 0.0\ntest = 1.0\n"
+    return f'name = "bench"\nseed = 1\n{scene}{more}[sample]\nhold = {HOLD}\n{split}'
+
+
+class TimedMeasurer(SampleMeasurer):
+    """Measures, and adds up the time."""
+
+    def __call__(
+        self, experiment: Experiment, conditions: Conditions = NOMINAL_CONDITIONS
+    ) -> CaseResult:
+        """Take one sample."""
+        global _computing_s
+        start = time.perf_counter()
+        result = super().__call__(experiment, conditions)
+        _computing_s += time.perf_counter() - start
+        return result
+
+
+def make(text: str, folder: Path, count: int) -> dict[str, float]:
+    """Make a data set on this process; return the times, s, without the first sample."""
+    global _computing_s
+    folder.mkdir()
+    (folder / "recipe.toml").write_text(text, encoding="utf-8")
+    recipe, bases = load_recipe(folder / "recipe.toml")
+    draws, work = draw_all(recipe, bases, count + 1), folder / "work"
+    take_samples(recipe, draws[:1], work, local_workers(1))
+    _computing_s, start = 0.0, time.perf_counter()
+    take_samples(recipe, draws, work, local_workers(1), measurer=TimedMeasurer)
+    packed = pack(recipe, bases, draws, work, folder / "set")
+    total_s = time.perf_counter() - start
+    frames = sum(int(sample.described["figures"]["frames"]) for sample in packed.samples[1:])
+    assert len(packed.samples) == count + 1, packed.failures
+    return {"total_s": total_s, "computing_s": _computing_s, "frames": frames, "samples": count}
+
+
+def command(recipe: Path, out: Path, count: int, workers: int) -> subprocess.Popen[bytes]:
+    """Start the command in a process group of its own."""
+    words = ["-c", "from twin.cli import main; main()", "dataset", str(recipe)]
+    words += ["-n", str(count), "-o", str(out), "-j", str(workers)]
+    # Python warns of shared memory that killed processes did not release.
+    environment = os.environ | {"PYTHONWARNINGS": "ignore::UserWarning"}
+    return subprocess.Popen(
+        [sys.executable, *words],
+        env=environment,
+        start_new_session=True,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+
+
+def killed_and_resumed(scratch: Path, kills: int, count: int) -> dict[str, Any]:
+    """Compare sets made in one go, by two workers, and by runs that were killed."""
+    recipe, rng = scratch / "small.toml", random.Random(1)
+    text = recipe_text("examples/gauges", SMALL_SIZE, RELIEF)
+    recipe.write_text(text, encoding="utf-8")
+    start = time.perf_counter()
+    one = command(recipe, scratch / "one", count, 1).wait()
+    whole_s = time.perf_counter() - start
+    two = command(recipe, scratch / "two", count, 2).wait()
+    done = 0
+    while done < kills:
+        run = command(recipe, scratch / "killed", count, 1)
+        try:
+            run.wait(rng.uniform(0.1, 0.9) * whole_s)
+        except subprocess.TimeoutExpired:
+            os.killpg(run.pid, signal.SIGKILL)
+            run.wait()
+        done += 1
+    last = command(recipe, scratch / "killed", count, 1).wait()
+    return {
+        "kills": done,
+        "resume_equal": one == last == 0 and same(scratch / "one", scratch / "killed"),
+        "workers_equal": one == two == 0 and same(scratch / "one", scratch / "two"),
+    }
+
+
+def same(one: Path, two: Path) -> bool:
+    """Return True if two data sets have the same files with the same bytes."""
+    names = [sorted(path.name for path in folder.iterdir()) for folder in (one, two)]
+    return names[0] == names[1] and all(
+        (one / name).read_bytes() == (two / name).read_bytes() for name in names[0]
+    )
+
+
+def least_p(scratch: Path, draws: int = 2000) -> float:
+    """Return the smallest p of the Kolmogorov-Smirnov tests of drawn values."""
+    from scipy import stats
+
+    file = scratch / "drawn.toml"
+    file.write_text(recipe_text("examples/gauges", SMALL_SIZE, RELIEF), encoding="utf-8")
+    recipe, (base,) = load_recipe(file)
+    laws = {
+        "specimen.seed": stats.uniform(0, 2**32),
+        "specimen.rms_um": stats.loguniform(10.0, 200.0),
+    }
+    levels = [levels_of(recipe, recipe.scene[0], number) for number in range(draws)]
+    found = [
+        stats.kstest([level[name].label for level in levels], law.cdf).pvalue
+        for name, law in laws.items()
+    ]
+    return float(min(*found, _p_of_input(recipe, base, draws)))
+
+
+def _p_of_input(recipe: Recipe, base: Experiment, draws: int) -> float:
+    from scipy import stats
+
+    key = recipe.inputs["angle"].key
+    values = [
+        drawn_values(base, recipe.inputs, recipe.seed, number)[key]
+        for number in range(1, draws + 1)
+    ]
+    law = stats.norm(base.projector.pose.polar_deg, recipe.inputs["angle"].spread)
+    return float(stats.kstest(values, law.cdf).pvalue)
+
+
+def main() -> int:
+    """Run all parts and print one JSON line; return 1 if bytes differ or a test rejects."""
+    parser = quick_parser(__doc__, "3 large scenes, 2 kills")
+    parser.add_argument("--scenes", type=int, help="large scenes; default: 300, or 3")
+    options = parser.parse_args()
+    scenes = options.scenes or (3 if options.quick else ML_SCENES)
+    with tempfile.TemporaryDirectory() as name:
+        scratch = Path(name)
+        few = 4 if options.quick else 40
+        figures: dict[str, Any] = {"least_ks_p": least_p(scratch)}
+        direct = make(recipe_text("examples/gauges", DIRECT_SIZE, RELIEF), scratch / "direct", few)
+        sheet = make(
+            recipe_text("examples/wrapped_balls", DIRECT_SIZE, SHEET),
+            scratch / "sheet",
+            1 if options.quick else 5,
+        )
+        large = make(recipe_text("examples/gauges", ML_SIZE, RELIEF), scratch / "large", scenes)
+        figures |= {
+            "samples_per_hour_direct": 3600 * direct["samples"] / direct["total_s"],
+            "samples_per_hour_sheet": 3600 * sheet["samples"] / sheet["total_s"],
+            "images_per_s": large["frames"] / large["total_s"],
+            "frames_per_scene": large["frames"] / large["samples"],
+            "write_share": 1 - large["computing_s"] / large["total_s"],
+            "fpp_ml_bench_minutes": large["total_s"] / 60 * ML_SCENES / scenes,
+            "fpp_ml_scenes": scenes,
+        }
+        figures |= killed_and_resumed(scratch, 2 if options.quick else 10, 4)
+    print_figures(figures)
+    equal = figures["resume_equal"] and figures["workers_equal"]
+    return int(not equal or figures["least_ks_p"] < LEAST_P)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

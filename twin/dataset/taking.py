@@ -1,0 +1,181 @@
+"""Take one sample of a data set in a worker process: press, render, expose, decode if needed."""
+
+import io
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reconstruction.pipeline import reconstruct
+from reconstruction.rig.calibration import Calibration
+from reconstruction.rig.pinhole import Pinhole
+from reconstruction.writing import write_bytes, write_png
+from twin.config import Experiment
+from twin.config.dataset import SampleContent
+from twin.dataset.quantities import (
+    SAMPLE_QUANTITIES,
+    TakenSample,
+    check_held,
+    needs_decoding,
+)
+from twin.output import write_json
+from twin.pipeline import measure
+from twin.pipeline.captures import options_of
+from twin.pipeline.fringes import expose_capture, record, render_bare
+from twin.pipeline.memory import Memory
+from twin.pipeline.press import press
+from twin.pipeline.progress import Stopwatch
+from twin.results.figures import Metrics
+from twin.results.parts import taken_figures
+from twin.results.score import metrics, score
+from twin.study.measuring import NOMINAL_CONDITIONS, CaseMeasurer, CaseResult, Conditions
+
+SAMPLE_FOLDER = "sample"
+CALIBRATION_JSON = "calibration.json"
+
+
+@dataclass
+class SampleMeasurer(CaseMeasurer):
+    """Measurer of the samples of a data set; the attributes are those of `CaseMeasurer`.
+
+    Attributes
+    ----------
+    content : quantities that each sample contains
+    """
+
+    content: SampleContent = field(default_factory=lambda: SampleContent(hold=("depth_mm",)))
+
+    def __call__(
+        self, experiment: Experiment, conditions: Conditions = NOMINAL_CONDITIONS
+    ) -> CaseResult:
+        """Take one sample, and return its figures and the function that writes its files.
+
+        Raises
+        ------
+        InputError, MissingBackend : for the reasons of `twin.pipeline.measure`; or the experiment
+            does not have a quantity of the content
+        """
+        self._computed_before = self.memory.requests()
+        self.memory.calibrations = self.calibrations
+        check_held(self.content.hold, experiment)
+        taken, figures = take_sample(
+            experiment,
+            self.memory,
+            conditions.trial,
+            decode=needs_decoding(self.content.hold),
+        )
+        return CaseResult(figures, _writer(taken, self.content))
+
+
+@dataclass(frozen=True)
+class SampleMeasuring:
+    """Factory of the measurer of a worker; equal factories share one measurer.
+
+    Attributes
+    ----------
+    content : quantities that each sample contains
+    calibrations : folder that caches the calibrations of photometric sensors; None: no cache
+    measurer : class of the measurer
+    """
+
+    content: SampleContent
+    calibrations: Path | None = None
+    measurer: type[SampleMeasurer] = SampleMeasurer
+
+    def __call__(self, keep: tuple[str, ...]) -> SampleMeasurer:
+        """Return a measurer with an empty cache."""
+        return self.measurer(keep, calibrations=self.calibrations, content=self.content)
+
+
+def take_sample(
+    experiment: Experiment, memory: Memory, trial: int, *, decode: bool
+) -> tuple[TakenSample, Metrics]:
+    """Run the stages of a measurement that a sample needs; return their results and figures.
+
+    Parameters
+    ----------
+    memory : cache of stage results
+    trial : number that selects the temporal noise
+    decode : whether fringes are decoded and scored; an image of a photometric sensor always is
+
+    Raises
+    ------
+    InputError, MissingBackend : for the reasons of `twin.pipeline.measure`
+    """
+    if not experiment.method.fringes:
+        done = measure(experiment, memory=memory, trial=trial)
+        return TakenSample(experiment, done.truth, done.pressed, colours=done.colours), done.metrics
+    pressed = press(experiment, memory).pressed if experiment.method.presses else None
+    if pressed is None:
+        radiance = render_bare(experiment, memory=memory)
+        recording = expose_capture(experiment, radiance, Stopwatch(), trial)
+    else:
+        recording = record(experiment, pressed, trial=trial, memory=memory)
+    figures: Metrics = taken_figures(experiment, pressed, recording)
+    maps = None
+    if decode:
+        maps = reconstruct(recording.capture, options_of(experiment.decode))
+        figures = {**figures, **metrics(score(experiment, maps, recording.truth))}
+    return TakenSample(experiment, recording.truth, pressed, recording, maps), figures
+
+
+def _writer(taken: TakenSample, content: SampleContent) -> Callable[[Path], None]:
+    # The arrays are computed here, where it may fail; `write` then only accesses the disk.
+    arrays = {name: SAMPLE_QUANTITIES[name].values(taken) for name in content.hold}
+    recording = taken.recording
+    calibration = None if recording is None else calibration_tree(recording.capture.calibration)
+
+    def write(folder: Path) -> None:
+        (folder / SAMPLE_FOLDER).mkdir()
+        for name, values in arrays.items():
+            if name == "frames" and content.frames == "png":
+                for number, frame in enumerate(values):
+                    write_png(folder / SAMPLE_FOLDER / f"{name}.{number:03d}.png", frame)
+            else:
+                write_bytes(folder / SAMPLE_FOLDER / f"{name}.npy", npy_bytes(values))
+        if calibration is not None:
+            write_json(folder / SAMPLE_FOLDER / CALIBRATION_JSON, calibration)
+
+    return write
+
+
+def npy_bytes(values: NDArray[Any]) -> memoryview:
+    """Return an array in the format of NumPy's .npy files."""
+    encoded = io.BytesIO()
+    np.save(encoded, np.ascontiguousarray(values), allow_pickle=False)
+    return encoded.getbuffer()
+
+
+def calibration_tree(calibration: Calibration) -> Mapping[str, Any]:
+    """Return a calibration as nested tables for JSON; lengths in mm.
+
+    `T_world_from_cam` maps points from the camera's frame (x right, y down, z forward) to the world
+    frame (z up towards the devices).
+    """
+    tree = {
+        "camera": _pinhole_tree(calibration.camera),
+        "projector": _pinhole_tree(calibration.projector),
+        "T_world_from_cam": calibration.T_world_from_cam.tolist(),
+        "T_world_from_proj": calibration.T_world_from_proj.tolist(),
+    }
+    if calibration.layers is not None:
+        surfaces = zip(calibration.layers.tops_mm, calibration.layers.iors, strict=True)
+        tree["layers"] = [{"top_mm": float(top), "ior": float(ior)} for top, ior in surfaces]
+    return dict(json.loads(json.dumps(tree)))
+
+
+def _pinhole_tree(device: Pinhole) -> dict[str, Any]:
+    return {
+        "image_width": int(device.width_px),
+        "image_height": int(device.height_px),
+        "camera_matrix": [
+            [float(device.fx_px), 0.0, float(device.cx_px)],
+            [0.0, float(device.fy_px), float(device.cy_px)],
+            [0.0, 0.0, 1.0],
+        ],
+        "distortion_coefficients": [float(value) for value in device.distortion],
+    }
