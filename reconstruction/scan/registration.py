@@ -6,18 +6,20 @@ The pose of patch k is T_k = N_k E(xi_k): its nominal pose N_k on the stage, and
     xi_k = S u_k + t_k D w,    u_k, w standard normal,
 
 with the standard deviations S of one position and the drift D over the whole path (t from 0 to 1).
-In the overlap of two patches the elements of one whose windows do not overlap are compared with the surface of the other: their
-distance along the normal has the variance that follows from both elements. One Gauss-Newton
-iteration over all poses minimises the sum of squares of stage and distances (Bayes' estimate with
-the stage as prior); the elements are assigned again after each step. Distances above 5 standard
-deviations are left out, and those above 2 have less weight (Huber).
+In the overlap of two patches the elements of one whose windows do not overlap are compared with the
+surface of the other: their distance along the normal has the variance that follows from both
+elements. One Gauss-Newton iteration over all poses minimises the sum of squares of stage and
+distances (Bayes' estimate with the stage as prior); the elements are assigned again after each
+step. Distances above 5 standard deviations are left out, and those above 2 have less weight
+(Huber).
 
 Three properties of the estimate:
 
 - Scale. The distances are divided by the Birge ratio b, 1.4826 times their median over sigma. It
   contains errors of neighbouring pixels that the decoder's filter correlates, which make the mean
   of a window worse than for independent errors. Errors that are alike over a whole patch (a wrong
-  calibration) are not contained.
+  calibration, or the slope of a strongly curved surface: some per cent of a pixel's distance) are
+  not contained.
 - Noise of normals. The normals of a plane have noise, so that the information H = sum w J J^T has a
   part N along the plane: noise of one patch is matched with noise of the other, and the plane seems
   to fix its own sliding. The expectation of N follows from the covariance of the slopes (errors in
@@ -40,7 +42,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from reconstruction.arrays import BoolImage, FloatArray
-from reconstruction.errors import InputError
+from reconstruction.errors import InputError, counted
 from reconstruction.scan.elements import SurfaceElements, values_at
 
 AXES = ("x", "y", "z", "rotation about x", "rotation about y", "rotation about z")
@@ -183,7 +185,9 @@ def register(
     """
     count = len(patches)
     if not 2 <= count <= MOST_PATCHES:
-        raise InputError(f"scan: found {count} patches, allowed 2 to {MOST_PATCHES}")
+        raise InputError(
+            f"scan: found {counted(count, 'patch', 'patches')}, allowed 2 to {MOST_PATCHES}"
+        )
     trees = [cKDTree(patch.centres_mm) for patch in patches]
     X = stage.factor(count)
     v = np.zeros(X.shape[1])
@@ -323,9 +327,7 @@ def _overlap(pair: _Distances, birge: float) -> Overlap:
     return Overlap(pair.i, pair.j, int(kept.sum()), median, rms, int((~kept).sum()))
 
 
-def _free_directions(
-    data: FloatArray, stage: StagePrior, count: int
-) -> tuple[FreeDirection, ...]:
+def _free_directions(data: FloatArray, stage: StagePrior, count: int) -> tuple[FreeDirection, ...]:
     """Return the motions of each patch, its neighbours fixed, that the stage determines."""
     sigma = np.array([*stage.sigma_mm, *stage.sigma_rad])
     sigma = np.hypot(sigma, [*stage.drift_mm, 0.0, 0.0, 0.0])

@@ -1,7 +1,6 @@
 """Patches of analytic surfaces for tests of scans: a sensor in known poses over one part."""
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from reconstruction.arrays import Reason
 from reconstruction.scan.registration import StagePrior, moved
@@ -35,15 +34,19 @@ def true_poses(nominal, stage, seed):
     return motion, moved(nominal, motion)
 
 
-def patch_of(T, surface, seed, shape=(63, 84), sigma_mm=SIGMA_MM, blur=None):
+def patch_of(T_part_from_sensor, surface, seed, shape=(63, 84), *, sigma_mm=SIGMA_MM, blur=None):
     """Return the point map of a surface in the frame of a sensor of pose T, with noise in z."""
     rows, cols = shape
+    rotation, origin, along = (
+        T_part_from_sensor[:3, :3],
+        T_part_from_sensor[:3, 3],
+        T_part_from_sensor[:3, 2],
+    )
     x, y = np.meshgrid(np.arange(cols) - (cols - 1) / 2, (rows - 1) / 2 - np.arange(rows))
     x, y, z = x * PITCH_MM, y * PITCH_MM, np.zeros(shape)
     for _ in range(8):  # intersect the vertical line of each pixel with the surface, by Newton
-        p = np.stack([x, y, z], -1) @ T[:3, :3].T + T[:3, 3]
+        p = np.stack([x, y, z], -1) @ rotation.T + origin
         height, by_x, by_y = surface(p[..., 0], p[..., 1])
-        along = T[:3, 2]
         z = z + (height - p[..., 2]) / (along[2] - by_x * along[0] - by_y * along[1])
     noise = np.random.default_rng(seed).standard_normal(shape)
     if blur is not None:
@@ -53,9 +56,3 @@ def patch_of(T, surface, seed, shape=(63, 84), sigma_mm=SIGMA_MM, blur=None):
     sigma[..., 2] = sigma_mm
     reason = np.full(shape, Reason.VALID, np.uint8)
     return PointMap(np.stack([x, y, z], -1).astype(np.float32), sigma, reason, CAMERA)
-
-
-def turned(degrees):
-    T = np.eye(4)
-    T[:3, :3] = Rotation.from_euler("z", degrees, degrees=True).as_matrix()
-    return T

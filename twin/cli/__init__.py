@@ -14,6 +14,7 @@ from twin.cli import captures as captures
 from twin.cli import forward as forward
 from twin.cli import inverse as inverse
 from twin.cli import results as results
+from twin.cli import scan as scan
 from twin.cli import start as start
 from twin.cli import studies as studies
 from twin.cli import view as view
