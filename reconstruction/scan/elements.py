@@ -16,11 +16,13 @@ fit: edges, steps and points with a wrong fringe order.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
 
-from reconstruction.arrays import BoolImage, FloatArray, FloatImage
+from reconstruction.arrays import BoolImage, FloatArray
 from reconstruction.errors import InputError
 from reconstruction.triangulation import PointMap
 
@@ -110,7 +112,7 @@ def values_at(elements: SurfaceElements, which: FloatArray, xy_mm: FloatArray) -
     )
 
 
-def _windows(image: FloatImage) -> FloatImage:
+def _windows(image: NDArray[Any]) -> NDArray[Any]:
     """Return the pixels of every window, (row, col, 49)."""
     size = (WINDOW_PX, WINDOW_PX)
     if min(image.shape) < WINDOW_PX:
@@ -130,7 +132,7 @@ def _bases(dx: FloatArray, dy: FloatArray) -> tuple[FloatArray, FloatArray, Floa
 
 
 def _fitted(
-    x: FloatImage, y: FloatImage, z: FloatImage, sigma: FloatImage, apart: BoolImage
+    x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], sigma: NDArray[Any], apart: BoolImage
 ) -> SurfaceElements:
     """Fit the elements of windows (window, 49) of coordinates and standard deviations, mm."""
     x, y, z, sigma = (values.astype(np.float64) for values in (x, y, z, sigma))

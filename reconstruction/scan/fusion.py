@@ -19,15 +19,17 @@ of three or more patches of the cell. If two patches differ that much, the cell 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from reconstruction.arrays import BoolImage, FloatArray, FloatImage
+from reconstruction.arrays import BoolImage, FloatArray, IntArray
 from reconstruction.cells import SquareCells
 from reconstruction.errors import InputError
 from reconstruction.merging import without_jump
-from reconstruction.netcdf import LabelledArrays
+from reconstruction.netcdf import Labelled, LabelledArrays
 from reconstruction.scan.registration import GATE, MEDIAN_TO_SIGMA, twist_of
 from reconstruction.triangulation import PointMap
 from reconstruction.triangulation.normals import surface_normals
@@ -72,8 +74,8 @@ class ScanMap:
     z_mm: FloatArray
     noise_mm: FloatArray
     pose_mm: FloatArray
-    patches: FloatArray
-    left_out: FloatArray
+    patches: IntArray
+    left_out: IntArray
     birge_ratio: float
     pitch_mm: float
 
@@ -125,7 +127,9 @@ def fuse(patches: Sequence[PartPoints], pitch_mm: float) -> ScanMap:
     if not len(every):
         raise InputError("scan: no patch has a point away from its edges; look at the patches")
     cells = SquareCells.of(every, pitch_mm)
-    owners = np.repeat(np.arange(len(patches)), [len(patch.points_mm) for patch in patches])
+    owners = np.repeat(
+        np.arange(len(patches), dtype=np.int64), [len(patch.points_mm) for patch in patches]
+    )
     normals, noise_mm, pose_mm = (
         np.concatenate(list(each)) for each in zip(*map(_columns, patches), strict=True)
     )
@@ -138,7 +142,7 @@ def _columns(patch: PartPoints) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 def _fused(
     cells: SquareCells,
-    owners: FloatArray,
+    owners: IntArray,
     points_mm: FloatArray,
     columns: tuple[FloatArray, FloatArray, FloatArray],
 ) -> ScanMap:
@@ -161,7 +165,7 @@ def _fused(
     share = np.divide(share, total[cell], out=np.zeros_like(share), where=total[cell] > 0.0)
 
     def summed(values: FloatArray) -> FloatArray:
-        return np.bincount(cell, values, size).reshape(shape)
+        return np.asarray(np.bincount(cell, values, size), np.float64).reshape(shape)
 
     return ScanMap(
         cells.x_mm,
@@ -169,18 +173,18 @@ def _fused(
         summed(share * z),
         birge * np.sqrt(summed((share * noise) ** 2)),
         summed(share * pose),
-        summed(kept.astype(np.float64)).astype(np.int64),
-        summed((~kept).astype(np.float64)).astype(np.int64),
+        np.bincount(cell[kept], minlength=size).reshape(shape).astype(np.int64),
+        np.bincount(cell[~kept], minlength=size).reshape(shape).astype(np.int64),
         birge,
         cells.pitch_mm,
     )
 
 
-def _mean(at: FloatArray, values: FloatArray, weight: FloatArray) -> FloatArray:
+def _mean(at: IntArray, values: FloatArray, weight: FloatArray) -> FloatArray:
     return np.asarray(np.bincount(at, weight * values) / np.bincount(at, weight))
 
 
-def _agreeing(cell: FloatArray, z: FloatArray, sigma: FloatArray) -> tuple[BoolImage, float]:
+def _agreeing(cell: IntArray, z: FloatArray, sigma: FloatArray) -> tuple[BoolImage, float]:
     """Return the heights (n,) that agree with the others of their cell, and the Birge ratio.
 
     `cell` is sorted. The distance from the median of m patches is compared with sigma sqrt(1 - 1/m)
@@ -203,7 +207,7 @@ def map_arrays(fused: ScanMap) -> LabelledArrays:
     """Return a fused map as labelled arrays over y and x, for netCDF."""
     cells = ("y", "x")
 
-    def layer(values: FloatArray | FloatImage, name: str, units: str = "mm") -> tuple:  # type: ignore[type-arg]
+    def layer(values: NDArray[Any], name: str, units: str = "mm") -> Labelled:
         return (cells, values, {"units": units, "long_name": name})
 
     return LabelledArrays(

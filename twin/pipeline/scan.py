@@ -13,9 +13,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 
-from reconstruction.arrays import FloatArray, Reason
+from reconstruction.arrays import FloatArray, IntArray, Reason
 from reconstruction.drawing import Drawing, draw_cells, gridded
 from reconstruction.errors import InputError
 from reconstruction.evaluate.surface import HeightGrid, typical_distance_mm, write_heights
@@ -250,7 +251,7 @@ def _figures(
     }
 
 
-def map_error(fused: ScanMap, true_map: ScanMap) -> tuple[FloatArray, FloatArray]:
+def map_error(fused: ScanMap, true_map: ScanMap) -> tuple[FloatArray, IntArray]:
     """Return the error of z, mm, in each cell of both maps, and the cells' row and column."""
     # Both grids have cell edges at multiples of the pitch.
     rows = np.rint((true_map.y_mm[0] - fused.y_mm) / fused.pitch_mm).astype(int)
@@ -280,7 +281,7 @@ def _errors(
     }
 
 
-def _form_error(fused: ScanMap, error: FloatArray, at: FloatArray) -> FloatArray:
+def _form_error(fused: ScanMap, error: FloatArray, at: IntArray) -> FloatArray:
     """Return the error of z, mm, after the best common rigid motion of the whole map.
 
     Only the stage determines the common motion; a flatness or a distance does not depend on it.
@@ -289,21 +290,20 @@ def _form_error(fused: ScanMap, error: FloatArray, at: FloatArray) -> FloatArray
     row, col = at.T
     normals = np.column_stack([-by_col[row, col], -by_row[row, col], np.ones(len(at))])
     points = np.column_stack([fused.x_mm[col], fused.y_mm[row], fused.z_mm[row, col]])
-    known = np.all([fused.valid[np.clip(row + a, 0, len(fused.y_mm) - 1),
-                                np.clip(col + b, 0, len(fused.x_mm) - 1)]
-                    for a, b in ((-1, 0), (1, 0), (0, -1), (0, 1))], axis=0)  # fmt: skip
+    inner = cv2.erode(fused.valid.astype(np.uint8), np.ones((3, 3), np.uint8))
+    known = inner[row, col] > 0
     motion = np.linalg.lstsq(twist_of(normals, points)[known], error[known], rcond=None)[0]
     return np.asarray((error - twist_of(normals, points) @ motion)[known])
 
 
 def _patch_errors(patches: Sequence[PointMap], truths: Sequence[Truth]) -> dict[str, Any]:
     """Return the error of z of the single patches on the specimen, without its edges."""
-    squares = []
+    squares: list[float] = []
     for points, true in zip(patches, truths, strict=True):
         own = part_points(points, np.eye(4), np.zeros((6, 6)))
         exact = _true_map([true], np.eye(4)[np.newaxis], 1.5 * typical_distance_mm(points))
         error, _ = map_error(fuse([own], exact.pitch_mm), exact)
-        squares.append(np.mean(error**2) if len(error) else np.nan)
+        squares.append(float(np.mean(error**2)) if len(error) else np.nan)
     return {"patch_rmse_um": float(1e3 * np.sqrt(np.nanmean(squares)))}
 
 

@@ -11,7 +11,7 @@ from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.pipeline.scan import Scanned
 from twin.report.canvas import FIT, MEASURED, axes_at, chart, draw_map, drawing, legend_above
 from twin.report.page import REPORT_FILE, STAGE, Block, Figure, Page, Section, write_page
-from twin.report.table import Column, Table
+from twin.report.table import Column, Row, Table
 
 _SIDE_IN = 6.2
 
@@ -108,7 +108,7 @@ def _seam_section(done: Scanned) -> Section:
     return Section("seams", "Seams", (Table("seams", "", "", columns, rows, (note,)),))
 
 
-def _seam_row(overlap: Overlap) -> dict[str, object]:
+def _seam_row(overlap: Overlap) -> Row:
     return {
         "pair": f"{overlap.first + 1} and {overlap.second + 1}",
         "elements": overlap.elements,
@@ -167,10 +167,16 @@ def _pose_table(done: Scanned) -> Table:
         Column(f"move_{k}", AXES[k], 2, "µm" if k < 3 else "mrad", "number") for k in moving
     ]
 
-    def row(k: int) -> dict[str, object]:
+    def row(k: int) -> Row:
         at = done.plan.positions[k]
         cells = {f"move_{a}": _with_sigma(moves[k], sigma[k], a) for a in moving}
-        return {"patch": k + 1, "x": at.x_mm, "y": at.y_mm, "rotation": at.rotation_deg} | cells
+        return {
+            "patch": k + 1,
+            "x": at.x_mm,
+            "y": at.y_mm,
+            "rotation": at.rotation_deg,
+            **cells,
+        }
 
     rows = tuple(row(k) for k in range(len(moves)))
     return Table("poses", "", "", tuple(columns), rows, ("Estimated error of the stage ± sigma.",))
