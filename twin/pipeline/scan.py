@@ -293,7 +293,7 @@ def _form_error(fused: ScanMap, error: FloatArray, at: IntArray) -> FloatArray:
     inner = cv2.erode(fused.valid.astype(np.uint8), np.ones((3, 3), np.uint8))
     known = inner[row, col] > 0
     motion = np.linalg.lstsq(twist_of(normals, points)[known], error[known], rcond=None)[0]
-    return np.asarray((error - twist_of(normals, points) @ motion)[known])
+    return np.asarray(error - twist_of(normals, points) @ motion)[known]
 
 
 def _patch_errors(patches: Sequence[PointMap], truths: Sequence[Truth]) -> dict[str, Any]:
