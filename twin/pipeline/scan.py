@@ -286,14 +286,16 @@ def _form_error(fused: ScanMap, error: FloatArray, at: IntArray) -> FloatArray:
 
     Only the stage determines the common motion; a flatness or a distance does not depend on it.
     """
-    by_row, by_col = np.gradient(fused.z_mm, -fused.pitch_mm, fused.pitch_mm)
+    by_row = np.asarray(np.gradient(fused.z_mm, -fused.pitch_mm, axis=0))
+    by_col = np.asarray(np.gradient(fused.z_mm, fused.pitch_mm, axis=1))
     row, col = at.T
     normals = np.column_stack([-by_col[row, col], -by_row[row, col], np.ones(len(at))])
     points = np.column_stack([fused.x_mm[col], fused.y_mm[row], fused.z_mm[row, col]])
     inner = cv2.erode(fused.valid.astype(np.uint8), np.ones((3, 3), np.uint8))
     known = inner[row, col] > 0
     motion = np.linalg.lstsq(twist_of(normals, points)[known], error[known], rcond=None)[0]
-    return np.asarray(error - twist_of(normals, points) @ motion)[known]
+    left_mm = error - twist_of(normals, points) @ motion
+    return np.asarray(left_mm[known], np.float64)
 
 
 def _patch_errors(patches: Sequence[PointMap], truths: Sequence[Truth]) -> dict[str, Any]:
