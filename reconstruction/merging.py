@@ -205,7 +205,7 @@ def _sight(of: _Surface, by: _Surface) -> _Sight:
     at_px = np.full((*usable.shape, 2), -1.0, np.float32)
     at_px[usable] = by.camera.project(points_mm[usable] @ T[:3, :3].T + T[:3, 3])
     surface_mm = _bilinear(by.points.points_world_mm, at_px)
-    seen = usable & (_bilinear((~_without_jump(by.points)).astype(np.float32), at_px) == 0.0)
+    seen = usable & (_bilinear((~without_jump(by.points)).astype(np.float32), at_px) == 0.0)
     offset_mm = _dot(of.normals, surface_mm - points_mm)
     spread_mm = np.abs(_dot(of.normals, _bilinear(by.errors_mm, at_px)))
     both_mm, over_sigma = np.hypot(of.spread_mm, spread_mm), np.zeros_like(offset_mm)
@@ -223,7 +223,7 @@ def _bilinear(image: FloatImage, at_px: FloatImage) -> FloatImage:
     )
 
 
-def _without_jump(points: PointMap) -> BoolImage:
+def without_jump(points: PointMap) -> BoolImage:
     """Return the pixels, (row, col), that have a point and no jump in height to a neighbour."""
     valid, whole = points.valid, points.valid.copy()
     for axis in (0, 1):

@@ -27,7 +27,7 @@ INSTEAD = {
 COMMANDS = ("adopt", "calibrate", "compare", "compensate", "completion", "dataset", "decode",
             "demo", "describe", "doctor", "export", "identify", "init", "keys", "measure", "paper",
             "patterns", "press",
-            "reconstruct", "render", "report", "score", "sweep", "uncertainty", "view")  # fmt: skip
+            "reconstruct", "render", "report", "scan", "score", "sweep", "uncertainty", "view")  # fmt: skip
 
 
 def written() -> Iterator[tuple[str, str]]:

@@ -15,6 +15,7 @@ from twin.cli import dataset as dataset
 from twin.cli import forward as forward
 from twin.cli import inverse as inverse
 from twin.cli import results as results
+from twin.cli import scan as scan
 from twin.cli import start as start
 from twin.cli import studies as studies
 from twin.cli.app import app, guarded
