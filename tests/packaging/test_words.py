@@ -26,8 +26,8 @@ INSTEAD = {
 }
 COMMANDS = ("adopt", "calibrate", "compare", "compensate", "completion", "dataset", "decode",
             "demo", "describe", "doctor", "export", "identify", "init", "keys", "measure", "paper",
-            "patterns", "press",
-            "reconstruct", "render", "report", "scan", "score", "sweep", "uncertainty", "view")  # fmt: skip
+            "patterns", "press", "reconstruct", "render", "report", "scan", "score", "sweep",
+            "uncertainty", "view")  # fmt: skip
 
 
 def written() -> Iterator[tuple[str, str]]:
