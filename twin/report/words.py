@@ -29,11 +29,11 @@ _UNITS = {
 }
 _POWERS = {"": "", "2": "²", "3": "³"}
 _ONE = f"(?:{'|'.join(_UNITS)})[23]?"
-# A unit at the end of a name: `mm`, `mm2`, `per_mm`, `mm2_per_n`; `kg_m3` and `j_m2` as in data
-# sheets. The metre is a unit only in the denominator below a mass or an energy.
+# A unit at the end of a name: `mm`, `mm2`, `per_mm`, `mm2_per_n`; `kg_m3`, `j_m2` and `mm_s` as in
+# data sheets. The metre is a unit only in the denominator below a mass or an energy.
 _SUFFIX = re.compile(
     rf"_(?:(?P<over>{_ONE})_per_(?P<under>{_ONE})|per_(?P<inverse>{_ONE})"
-    rf"|(?P<amount>kg|j)_(?P<size>m[23])|(?P<one>(?!m[23]?$){_ONE}))$"
+    rf"|(?P<amount>kg|j|mm|deg)_(?P<size>m[23]|s)|(?P<one>(?!m[23]?$){_ONE}))$"
 )
 _DERIVATIVE = re.compile(r"(?P<of>[a-z0-9_]+)_by_(?P<field>[a-z0-9_.]+\.[a-z0-9_]+)")
 
