@@ -2,8 +2,9 @@
 
 On the recorded processor with the recorded versions to the last byte. Elsewhere floating-point
 numbers round differently and a few grey levels flip: compiled without fused multiply-add, figures
-moved by up to 1.3e-4; on another maker's processor, figures of bare bodies with few points by 2 %,
-on CUDA by 3 %. There it shows mistakes that are larger than `CLOSE`, no more.
+moved by up to 1.3e-4; on another maker's processor those of bare bodies with few points and
+outliers by 7 %, on CUDA by 3 %. There it shows mistakes that are larger than `CLOSE`, for bare
+bodies `CLOSE_BARE`, no more.
 """
 
 import re
@@ -13,7 +14,8 @@ import pytest
 from tests.pipeline.reference import machine, measured, recorded
 from twin.optics.backend import find_backend
 
-CLOSE = 5e-2
+CLOSE, CLOSE_BARE = 5e-2, 0.15
+BARE = "brick", "compared_direct_fpp"
 FLIPPED = 20  # pixels that may pass a threshold on one machine only
 # A share counts pixels near a threshold, a bias is the small mean of errors a hundred times as
 # large, and the error of a radius is the difference of two lengths of some mm: on two makers'
@@ -32,18 +34,19 @@ def test_measured_as_recorded(found, name):
     if machine() == recorded()["machine"] and not find_backend().variant.startswith("cuda"):
         assert found[name] == expected
     else:
-        _same_metrics(found[name]["metrics"], expected["metrics"])
+        close = CLOSE_BARE if name in BARE else CLOSE
+        _same_metrics(found[name]["metrics"], expected["metrics"], close)
         assert found[name]["arrays"].keys() == expected["arrays"].keys()
         for array, figures in expected["arrays"].items():
-            _same_figures(found[name]["arrays"][array], figures)
+            _same_figures(found[name]["arrays"][array], figures, close)
 
 
-def _same_metrics(found, expected):
+def _same_metrics(found, expected, close):
     assert found.keys() == expected.keys()
     for metric, value in expected.items():
         if isinstance(value, float):
             least = next((size for end, size in LEAST.items() if metric.endswith(end)), 1e-9)
-            assert found[metric] == pytest.approx(value, rel=CLOSE, abs=least), metric
+            assert found[metric] == pytest.approx(value, rel=close, abs=least), metric
         elif isinstance(value, int):
             assert abs(found[metric] - value) <= FLIPPED, metric
         else:
@@ -56,12 +59,12 @@ def _without_numbers(value):
     return [re.sub(r"\d+(\.\d+)?", "#", text) if isinstance(text, str) else text for text in texts]
 
 
-def _same_figures(found, expected):
+def _same_figures(found, expected, close):
     """Compare counts, means and RMS; a file of bytes has another length where a point is more."""
     if "rms" not in expected:
         return
     size = max(abs(expected["min"]), abs(expected["max"]), 1e-9)
     flipped = FLIPPED * size / expected["count"]
-    assert found["count"] == pytest.approx(expected["count"], rel=CLOSE)
-    assert abs(found["mean"] - expected["mean"]) <= CLOSE * expected["rms"] + flipped
-    assert abs(found["rms"] - expected["rms"]) <= CLOSE * expected["rms"] + flipped
+    assert found["count"] == pytest.approx(expected["count"], rel=close)
+    assert abs(found["mean"] - expected["mean"]) <= close * expected["rms"] + flipped
+    assert abs(found["rms"] - expected["rms"]) <= close * expected["rms"] + flipped
