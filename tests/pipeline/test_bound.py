@@ -189,8 +189,9 @@ def test_derivatives_of_frames_are_central_differences(balls):
         for n, (up, down, here) in enumerate(zip(high, low, still, strict=True)):
             tangent = tangents[(2, -2)[n]]
             of_sum, of_square = np.sum(up - down) / (2 * step), np.sum(up**2 - down**2) / (2 * step)
-            assert np.sum(tangent) == pytest.approx(of_sum, rel=1e-3), path
-            assert np.sum(2 * here * tangent) == pytest.approx(of_square, rel=1e-3), path
+            # Rounding of single-precision frames: 1.0e-3 on one maker's processor.
+            assert np.sum(tangent) == pytest.approx(of_sum, rel=2e-3), path
+            assert np.sum(2 * here * tangent) == pytest.approx(of_square, rel=2e-3), path
 
 
 def test_what_moves_press_or_camera_has_no_derivative(balls):
