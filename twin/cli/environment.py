@@ -7,6 +7,7 @@ errors that do not name the variable. A command therefore checks them first.
 import os
 import sys
 from importlib.util import find_spec
+from pathlib import Path
 
 from reconstruction.errors import InputError
 from reconstruction.machine import VARIABLE
@@ -107,7 +108,7 @@ def _check_limits() -> None:
 
 def _check_current_folder() -> None:
     try:
-        os.getcwd()  # noqa: PTH109  # Path.cwd() raises the same error
+        Path.cwd()
     except FileNotFoundError as error:
         raise InputError(
             "the current folder was removed; change to an existing folder: cd"
