@@ -270,7 +270,7 @@ def test_flakes_of_a_pressed_face_have_the_displacement_of_its_material(mi, expe
 
     A coat without the table loads the face without material coordinates.
     """
-    from twin.pipeline.fringes import loaded
+    from twin.pipeline.lit_frames import loaded
 
     coarse = {"press.relief_pitch_mm": 0.05, "press.solver_pitch_mm": 0.2}
     case = vary(experiment, coarse)

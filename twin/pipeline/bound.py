@@ -16,7 +16,7 @@ from twin.config.sensor_layer import SensorLayer
 from twin.mechanics import PressedElastomer
 from twin.mechanics.choice import is_slab
 from twin.optics.stack import Truth
-from twin.pipeline.fringes import loaded, traced, viewed
+from twin.pipeline.lit_frames import loaded, traced, viewed
 from twin.pipeline.memory import Memory
 from twin.pipeline.press import PressedFace, press
 from twin.pipeline.slab_object import bound_slab, slab_object

@@ -10,7 +10,6 @@ with an empty memory.
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 from trimesh import Trimesh
 
@@ -20,21 +19,19 @@ from reconstruction.pipeline import Reconstruction, reconstruct
 from twin.camera import NoiseFunction, expose
 from twin.camera.noise_function import name_of
 from twin.config import digest, require_experiment
-from twin.config.digest import content_digest
-from twin.config.instant import experiment_at
 from twin.config.models import Experiment
 from twin.config.sensor_layer import SensorLayer
 from twin.mechanics import PressedElastomer
-from twin.mechanics.relief import MATERIAL_MM, FaceGrid, face_grid
-from twin.optics.checks import check_direct_engine, check_motion, check_stack_size
+from twin.optics.checks import check_stack_size
 from twin.optics.light import pattern_set
 from twin.optics.rig import true_calibration
 from twin.optics.session import renderer_session
 from twin.optics.stack import RadianceStack
 from twin.output import versions
 from twin.pipeline.captures import options_of
+from twin.pipeline.lit_frames import Progress, lit, rendered
 from twin.pipeline.memory import CachedResult, Memory
-from twin.pipeline.press import PressedFace, glinting_material_mm, press
+from twin.pipeline.press import PressedFace, press
 from twin.pipeline.progress import Stopwatch
 from twin.results.figures import Metrics
 from twin.results.layout import layout_warnings
@@ -45,11 +42,6 @@ from twin.results.score import metrics, order_warnings, score
 from twin.results.sequence import sequence_warnings
 from twin.results.under_sheet import sheet_compensation
 
-if TYPE_CHECKING:
-    from twin.optics.one_trace import Patches
-    from twin.pipeline.trace import Geometry, View
-
-Progress = Callable[[float], None]
 BoundsOf = Callable[[Experiment, PressedFace, Memory], Callable[[], Metrics]]
 
 
@@ -233,7 +225,7 @@ def render(
     geometry = memory.recall(
         "geometry", experiment, (), lambda watched: trace.load_face(watched, face)
     )
-    return _lit(experiment, geometry, memory, progress).value
+    return lit(experiment, geometry, memory, progress).value
 
 
 def render_bare(
@@ -253,7 +245,7 @@ def render_bare(
         behind clear bodies black
     MissingBackend : there is no usable Dr.Jit backend
     """
-    return _rendered(experiment, None, Memory() if memory is None else memory, progress).value
+    return rendered(experiment, None, Memory() if memory is None else memory, progress).value
 
 
 def expose_capture(
@@ -324,21 +316,6 @@ def _check_given_face(experiment: Experiment) -> None:
         )
 
 
-def check_layers(experiment: Experiment) -> None:
-    """Check that the gel in front of a coat is among the layers of the experiment.
-
-    Raises
-    ------
-    InputError : the layout is contact-face, and the experiment has no layers
-    """
-    if experiment.elastomer.layout == "contact_face" and not experiment.layers:
-        raise InputError(
-            "layers: found none, elastomer.layout = 'contact_face' is seen through its gel; add "
-            f"[layers.gel] with bottom_mm = 0, thickness_mm = {experiment.elastomer.thickness_mm:g}"
-            " and ior, or use twin press"
-        )
-
-
 def _taken(
     experiment: Experiment, run: RunContext
 ) -> tuple[PressedFace | None, CachedResult[Recording]]:
@@ -359,139 +336,10 @@ def _recorded(
     experiment: Experiment, pressed: PressedFace | None, run: RunContext
 ) -> CachedResult[Recording]:
     with run.clock.stage("render") as progress:
-        radiance = _rendered(experiment, pressed, run.memory, progress)
+        radiance = rendered(experiment, pressed, run.memory, progress)
     return run.memory.recall(
         "capture",
         experiment,
         (radiance.token, run.trial, run.noise),
         lambda watched: expose_capture(watched, radiance.value, run.clock, run.trial, run.noise),
-    )
-
-
-def _rendered(
-    experiment: Experiment, pressed: PressedFace | None, memory: Memory, progress: Progress
-) -> CachedResult[RadianceStack]:
-    return _lit(experiment, loaded(experiment, pressed, memory), memory, progress)
-
-
-def loaded(
-    experiment: Experiment, pressed: PressedFace | None, memory: Memory
-) -> "CachedResult[Geometry]":
-    """Return the loaded surfaces of a scene: a pressed face, or the bare specimen on its stage.
-
-    Parameters
-    ----------
-    pressed : pressed face; None: the bare specimen
-
-    Raises
-    ------
-    InputError : the scene cannot be rendered
-    MissingBackend : there is no usable Dr.Jit backend
-    """
-    check = check_direct_engine if pressed is None else check_layers
-    check(experiment)
-    check_motion(experiment)
-    with renderer_session():
-        from twin.pipeline import trace
-
-    if pressed is None:
-        return memory.recall("geometry", experiment, (), trace.load_bare)
-    material_mm = glinting_material_mm(experiment, pressed.pressed)
-    attributes = {} if material_mm is None else {MATERIAL_MM: material_mm}
-    return memory.recall(
-        "geometry",
-        experiment,
-        (pressed.face_digest, content_digest(*attributes.values())),
-        lambda watched: trace.load_face(
-            watched, replace(face_grid(pressed.pressed), vertex_attributes=attributes)
-        ),
-    )
-
-
-def viewed(
-    experiment: Experiment, geometry: "CachedResult[Geometry]", memory: Memory
-) -> "CachedResult[View]":
-    """Return camera and projector placed about a scene, and the true surface at every pixel."""
-    from twin.pipeline import trace
-
-    return memory.recall(
-        "view", experiment, geometry.token, lambda watched: trace.view_of(watched, geometry.value)
-    )
-
-
-def traced(
-    experiment: Experiment,
-    geometry: "CachedResult[Geometry]",
-    view: "CachedResult[View]",
-    memory: Memory,
-) -> "CachedResult[Patches]":
-    """Return the traced rays of the camera, which are independent of the patterns."""
-    from twin.pipeline import trace
-
-    return memory.recall(
-        "trace",
-        experiment,
-        view.token,
-        lambda watched: trace.patches_of(watched, geometry.value, view.value),
-    )
-
-
-def _lit(
-    experiment: Experiment, geometry: "CachedResult[Geometry]", memory: Memory, progress: Progress
-) -> CachedResult[RadianceStack]:
-    from twin.pipeline import trace
-
-    scene, view = geometry.value, viewed(experiment, geometry, memory)
-    if experiment.motion.moves:
-        return _lit_in_motion(experiment, geometry, view, memory, progress)
-    # Without an aperture blur is equal at all distances, so the tables do not depend on the view.
-    depth = view.token if experiment.projector.aperture_mm else ()
-    tables = memory.recall(
-        "tables", experiment, depth, lambda watched: trace.tables_of(watched, view.value)
-    )
-    if experiment.render.engine == "stock":
-        return memory.recall(
-            "frames",
-            experiment,
-            (view.token, tables.token),
-            lambda watched: trace.light_with_stock(
-                watched, scene, view.value, tables.value, progress
-            ),
-        )
-    rays = traced(experiment, geometry, view, memory)
-    photons = memory.recall(
-        "photons",
-        experiment,
-        view.token,
-        lambda watched: trace.photons_of(watched, scene, view.value),
-    )
-    lit = trace.Traced(rays.value, photons.value, tables.value)
-    return memory.recall(
-        "frames",
-        experiment,
-        (rays.token, photons.token, tables.token),
-        lambda watched: trace.light(watched, scene, view.value, lit, progress),
-    )
-
-
-def _lit_in_motion(
-    experiment: Experiment,
-    geometry: "CachedResult[Geometry]",
-    view: "CachedResult[View]",
-    memory: Memory,
-    progress: Progress,
-) -> CachedResult[RadianceStack]:
-    with renderer_session():
-        from twin.pipeline import moving
-
-    def face_at(time_s: float) -> FaceGrid:
-        return face_grid(press(experiment_at(experiment, time_s), Memory()).pressed)
-
-    # A press at another time reads further fields of the experiment, which identify the frames.
-    inputs = view.token if geometry.value.face is None else (view.token, digest(experiment))
-    return memory.recall(
-        "frames",
-        experiment,
-        inputs,
-        lambda watched: moving.light_moving(watched, geometry.value, view.value, face_at, progress),
     )

@@ -9,7 +9,7 @@ from reconstruction.errors import InputError
 from twin.config import Experiment
 from twin.optics.session import renderer_session
 from twin.pipeline.bound import bounds_alone, predicted
-from twin.pipeline.fringes import loaded, traced, viewed
+from twin.pipeline.lit_frames import loaded, traced, viewed
 from twin.pipeline.memory import Memory
 from twin.pipeline.press import press
 from twin.results.bound import information_shares

@@ -12,7 +12,8 @@ from twin.optics.checks import check_renderable
 from twin.pipeline.bound import bounds_of
 from twin.pipeline.colours import check_sensor, measure_colours
 from twin.pipeline.compensation import with_compensation
-from twin.pipeline.fringes import RunContext, check_layers, measure_fringes
+from twin.pipeline.fringes import RunContext, measure_fringes
+from twin.pipeline.lit_frames import check_layers
 from twin.pipeline.memory import Memory
 from twin.pipeline.progress import ProgressCallback, Stopwatch, no_progress
 from twin.results.folder import as_stored, write_measurement
