@@ -206,11 +206,15 @@ class SampleOptions:
 
 
 def ball_slopes(
-    circle: ContactCircle, ball_radius_mm: float, pitch_mm: float, places_px: FloatArray
+    circle: ContactCircle,
+    ball_radius_mm: float,
+    pitch_mm: FloatArray | float,
+    places_px: FloatArray,
 ) -> FloatArray:
     """Return the slopes (n, 2) of a ball, mm/mm, downwards and to the right, at pixels (n, 2).
 
     The pixels are (row, col), at less than the ball's radius from the centre of the circle.
+    `pitch_mm` may differ from pixel to pixel, (n, 1).
     """
     offset_mm = (places_px - (circle.row_px, circle.col_px)) * pitch_mm
     depth_mm = np.sqrt(ball_radius_mm**2 - np.sum(offset_mm**2, axis=1))
@@ -280,12 +284,15 @@ def _slopes_of_ball(
     place_px = circle.row_px, circle.col_px
     (row_px, col_px), width_mm = rest.ball_axis(place_px, ball_radius_mm, pitch_mm)
     about_axis = replace(circle, row_px=row_px, col_px=col_px)
+    # The pitch at the ball follows from its mean height above the dome, half of that in the middle.
+    reach_mm = circle.radius_px * width_mm
+    relief_mm = 0.5 * (ball_radius_mm - np.sqrt(ball_radius_mm**2 - reach_mm**2))
 
     def relative(places_px: FloatArray) -> FloatArray:
         row, col = places_px.astype(np.intp).T
-        return ball_slopes(about_axis, ball_radius_mm, width_mm, places_px) - (
-            rest.slopes[:, row, col].T
-        )
+        pitches_mm = pitch_mm * rest.widths(pitch_mm, relief_mm)[row, col, np.newaxis]
+        ball = ball_slopes(about_axis, ball_radius_mm, pitches_mm, places_px)
+        return ball - rest.slopes[:, row, col].T
 
     return relative
 

@@ -4,10 +4,11 @@ A pixel images points along a straight line inside the gel, its line of sight. T
 inclination e, (downwards, to the right), mm per mm of height. On a surface with the slopes s the
 height changes from one pixel to the next, at a distance P on a level surface, by
 
-    s P / (1 - s . e),
+    s P (1 - z / D) / (1 - s . e),
 
-because the imaged point also moves along its line of sight. For a flat gel s . e is small and is
-neglected. On the flank of a dome it is not: a slope of 0.3 under e = 0.15 changes by 5 %.
+because the imaged point also moves along its line of sight, and points at the height z are nearer
+to the pinhole, at the distance D from the level surface z = 0. For a flat gel both are small and
+are neglected. On the flank of a dome they are not: a slope of 0.3 under e = 0.15 changes by 5 %.
 """
 
 from collections.abc import Mapping
@@ -75,17 +76,19 @@ class RestSurface:
             axis=-1,
         )
 
-    def relative_rise(self, slopes: FloatArray, pitch_mm: float) -> FloatArray:
+    def relative_rise(
+        self, slopes: FloatArray, pitch_mm: float, relief_mm: FloatArray | float = 0.0
+    ) -> FloatArray:
         """Return the change of the height above the undeformed coat, (2, row, col), per pitch.
 
         Parameters
         ----------
         slopes : (2, row, col) mm/mm, slopes of the pressed coat
         pitch_mm : distance on the level surface z = 0 of the points that adjacent pixels image
+        relief_mm : (row, col), height of the pressed coat above the undeformed one
         """
-        return (self._rise(slopes) - self._rise(self.slopes.astype(np.float64))) * self._widths(
-            pitch_mm
-        )
+        undeformed = self._rise(self.slopes.astype(np.float64)) * self.widths(pitch_mm)
+        return self._rise(slopes) * self.widths(pitch_mm, relief_mm) - undeformed
 
     def ball_axis(
         self, place_px: tuple[float, float], ball_radius_mm: float, pitch_mm: float
@@ -103,7 +106,7 @@ class RestSurface:
         last = np.array(self.slopes.shape[1:]) - 1
         row, col = np.clip(np.rint(place_px), 0, last).astype(np.intp)
         slope = self.slopes[:, row, col].astype(np.float64)
-        width_mm = pitch_mm * float(self._widths(pitch_mm)[row, col])
+        width_mm = pitch_mm * float(self.widths(pitch_mm)[row, col])
         offset_px = ball_radius_mm * slope / np.sqrt(1.0 + float(slope @ slope)) / width_mm
         return (place_px[0] + float(offset_px[0]), place_px[1] + float(offset_px[1])), width_mm
 
@@ -111,10 +114,11 @@ class RestSurface:
         along = np.sum(slopes * self.sight, axis=0)
         return np.asarray(slopes / (1.0 - along))
 
-    def _widths(self, pitch_mm: float) -> FloatArray:
-        """Return the pitch at the undeformed coat over that on z = 0, (row, col)."""
+    def widths(self, pitch_mm: float, relief_mm: FloatArray | float = 0.0) -> FloatArray:
+        """Return the pitch at a relief above the undeformed coat over that on z = 0, (row, col)."""
         spread = np.gradient(self.sight[0], axis=0) + np.gradient(self.sight[1], axis=1)
-        return np.asarray(1.0 + self.points_mm[..., 2] * float(np.median(spread)) / 2.0 / pitch_mm)
+        height_mm = self.points_mm[..., 2] + relief_mm
+        return np.asarray(1.0 + height_mm * float(np.median(spread)) / 2.0 / pitch_mm)
 
     def arrays(self) -> dict[str, tuple[NDArray[Any], str]]:
         """Return arrays (row, col) with their meaning by name, for files; see `from_arrays`."""

@@ -61,6 +61,8 @@ from reconstruction.writing import write_npz
 
 FORMAT, VERSION, VERSION_OF_DOME = "photometric-calibration", 1, 2
 PREFIX = "map_"
+# The pitch at the pressed coat of a dome follows from its height, which the first pass gives.
+_PASSES_OF_DOME = 2
 LIT_LEVELS = 5.0, 250.0
 """Allowed range of the median level of each channel of the background: pixels must be able to
 become darker and brighter."""
@@ -326,12 +328,16 @@ class PhotometricDecoder:
         slopes, known = self._bound.slopes(levels)
         reason = _reasons(raw, hidden, known)
         filled = self._filled(slopes.astype(np.float64), hidden)
-        rest, rise = sensor.rest, filled
+        rest = sensor.rest
         if rest is not None:
             filled = filled + rest.slopes
-            rise = rest.relative_rise(filled, sensor.pitch_mm)
-        height = self._integrated(rise, reason)
-        height -= self._zero(height, levels, hidden)
+        height = np.zeros(reason.shape)
+        for _ in range(1 if rest is None else _PASSES_OF_DOME):
+            rise = filled
+            if rest is not None:
+                rise = rest.relative_rise(filled, sensor.pitch_mm, height)
+            height = np.asarray(self._integrated(rise, reason), np.float64)
+            height -= self._zero(height, levels, hidden)
         if rest is not None:
             height += rest.points_mm[..., 2]
         return HeightMap(
