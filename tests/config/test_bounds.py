@@ -3,6 +3,7 @@
 import pytest
 
 from twin.config import ConfigError, load_experiment
+from twin.config.axis import Axis
 from twin.config.board import BoardFile
 from twin.config.inputs import Input
 from twin.config.lamps import Lamp
@@ -10,7 +11,7 @@ from twin.config.problem import Free, SensorProblem
 from twin.config.rows import Limit, Row
 from twin.config.schema import experiment_keys, limits_at, list_keys
 from twin.config.sensor_layer import SensorLayer
-from twin.config.study import Axis, Constraint, Study
+from twin.config.study import Constraint, Study
 
 DOCUMENTS = (SensorLayer, Study, Axis, Constraint, SensorProblem, Free, Row, Limit)
 OTHERS = (Input, Lamp, BoardFile)

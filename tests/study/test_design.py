@@ -6,7 +6,8 @@ import pytest
 from reconstruction.errors import InputError
 from twin.assets import list_assets
 from twin.config import ConfigError
-from twin.config.study import Axis, Study, load_study
+from twin.config.axis import Axis
+from twin.config.study import Study, load_study
 from twin.study.cases import cases_of, point_count, points_of, shares_of
 from twin.study.estimate import estimate
 from twin.study.record import StudyRecord

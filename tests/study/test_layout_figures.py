@@ -3,8 +3,9 @@
 import pytest
 
 from twin.config import vary
+from twin.config.axis import Axis
 from twin.config.inputs import Input
-from twin.config.study import Axis, Constraint, load_study
+from twin.config.study import Constraint, load_study
 from twin.study.cases import cases_of
 from twin.study.checks import check_figures
 from twin.study.derived import with_derived

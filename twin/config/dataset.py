@@ -12,13 +12,14 @@ from pydantic import Field, model_validator
 
 from reconstruction.reading import is_regular
 from twin.assets import scene_file
+from twin.config.axis import Axis, with_files
 from twin.config.base import Fraction, Model
 from twin.config.bounds import Spread
 from twin.config.inputs import Input, require_distinct_keys
 from twin.config.loading import load_experiment, read_toml, resolve_uses, vary
 from twin.config.models import Experiment
 from twin.config.schema import validated
-from twin.config.study import Axis, with_files, with_inputs, without_absent
+from twin.config.study import with_inputs, without_absent
 
 Name = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_\-]*$", max_length=64)]
 SPLITS = ("train", "validation", "test")

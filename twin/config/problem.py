@@ -16,13 +16,14 @@ from scipy.special import ndtr, ndtri
 from reconstruction.arrays import FloatArray
 from reconstruction.reading import is_regular
 from twin.assets import scene_file
+from twin.config.axis import Axis
 from twin.config.base import Model
 from twin.config.bounds import Figure, FigureSigma
 from twin.config.loading import ABSENT, load_experiment, read_toml, resolve_uses, vary
 from twin.config.models import Experiment
 from twin.config.rows import Limit, Metric, Name, Row
 from twin.config.schema import validated
-from twin.config.study import Axis, without_absent
+from twin.config.study import without_absent
 
 LONGEST_CHAIN, _QUICK_STEPS = 8000, 2000
 MOST_FREE, MOST_COMBINATIONS = 12, 64

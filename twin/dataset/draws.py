@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 
 from twin.config import ConfigError, Experiment, vary
+from twin.config.axis import Level
 from twin.config.dataset import Recipe, RecipeScene
 from twin.config.digest import keyed_sequence, with_file_contents
-from twin.config.study import Level, without_absent
+from twin.config.study import without_absent
 from twin.study.cases import Case, case_of
 from twin.study.measuring import Conditions
 from twin.study.trials import draw, drawn_values

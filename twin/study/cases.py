@@ -16,9 +16,10 @@ import numpy as np
 from reconstruction.arrays import FloatArray
 from reconstruction.errors import InputError
 from twin.config import ConfigError, Experiment, digest, vary
+from twin.config.axis import Axis, Level
 from twin.config.loading import by_method
 from twin.config.quantities import value_at
-from twin.config.study import MOST_CASES, Axis, Constraint, Level, Study, without_absent
+from twin.config.study import MOST_CASES, Constraint, Study, without_absent
 from twin.results.layout import KNOWN_BEFORE, layout_figures
 from twin.study.measuring import NOMINAL_CONDITIONS, Conditions
 from twin.study.needed import (

@@ -15,7 +15,8 @@ import numpy as np
 from reconstruction.errors import InputError
 from reconstruction.machine import warnings_ignored
 from twin.config import ConfigError
-from twin.config.study import Axis, Constraint, Optimise, Study
+from twin.config.axis import Axis
+from twin.config.study import Constraint, Optimise, Study
 from twin.extras import missing
 from twin.results.rows import is_number
 from twin.study.cases import Case, Cases, Point, cases_of, quantity

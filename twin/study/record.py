@@ -11,7 +11,8 @@ from pydantic import ValidationError
 from reconstruction.errors import InputError
 from reconstruction.reading import read_json
 from twin.config import Experiment
-from twin.config.study import Axis, Level, Study
+from twin.config.axis import Axis, Level
+from twin.config.study import Study
 from twin.output import adding, write_json
 from twin.study.cases import Cases, Point, cases_of, cases_per_point, points_of
 from twin.study.trials import trial_cases
