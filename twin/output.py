@@ -151,6 +151,33 @@ def alone_in(target: Path) -> Iterator[None]:
         yield
 
 
+@contextmanager
+def claimed(
+    target: Path, kind: str, names: Collection[str], inputs: Iterable[Path] = ()
+) -> Iterator[None]:
+    """Claim a folder, see `claim`, and lock it during a `with` block, see `alone_in`.
+
+    After an error a folder to which no file was added loses its manifest, and is removed if it did
+    not exist before.
+
+    Raises
+    ------
+    InputError, OSError : for the reasons of `claim` and `alone_in`
+    """
+    real = Path(os.path.realpath(target))
+    made = [folder for folder in (real, *real.parents) if not folder.exists()]
+    claim(target, kind, names, inputs)
+    with ExitStack() as stack:
+        stack.callback(_remove_empty, made)
+        stack.enter_context(alone_in(target))
+        try:
+            yield
+        except BaseException:
+            if foreign(real, None) is None:
+                (real / MANIFEST_FILE).unlink(missing_ok=True)
+            raise
+
+
 def _refuse_second(target: Path, folder: Path) -> None:
     if is_second(folder):
         raise InputError(f"{target}: another twin is writing there; wait for it, or {_ADVICE}")

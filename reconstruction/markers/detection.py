@@ -8,6 +8,7 @@ maxima, because many dots have one size, whereas noise is weak and vignetting is
 `fitting` then determines the centre of each dot.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -23,7 +24,7 @@ from reconstruction.markers.fitting import FittedDots, fit_dots
 # Scales: six per octave, from dots of 1.5 px radius to dots of 1/12 of the image's shorter side.
 _SMALLEST_PX, _STEP, _LARGEST_SHARE = 1.06, 2.0 ** (1 / 6), 1.0 / 17.0
 # Maximum of the normalised Laplacian in the middle of a disc, over the step of the logarithm.
-_OF_DISC = 2.0 / np.e
+_OF_DISC = 2.0 / math.e
 # Scales that belong to dots of one size: pressed and oblique dots differ by less.
 _WITHIN = 1.5
 # Least response of a dot, relative to the median of the image's dots: a dot in a shadow, or at the

@@ -1,15 +1,18 @@
-"""Surface elements of one patch: a quadratic surface fitted to each small window of pixels.
+"""Surface elements of one patch: polynomials of x and y fitted to each small window of pixels.
 
-Over a window of 7 x 7 pixels round (x0, y0) the height in the frame of the sensor is
+Over a window of 7 x 7 pixels round (x0, y0) two polynomials of dx = x - x0 and dy = y - y0 are
+fitted to z in the frame of the sensor, by least squares with the weights 1 / sigma_z^2:
 
-    z = c0 + c1 dx + c2 dy + c3 dx^2 / 2 + c4 dx dy + c5 dy^2 / 2,   dx = x - x0, dy = y - y0,
+- a cubic one for the height. The slope of a quadratic one is wrong by 7 px^2 / 6 d^3z/dx^3. Between
+  two pixels this is an error of height that looks like a displacement; it would be alike in all
+  overlaps of a regular path and add up to a drift;
+- a quadratic one for the slopes, with a third of the noise of the cubic one. The slopes are needed
+  only for the derivatives of a distance: an error of a few per cent does not displace the optimum.
 
-by least squares with the weights 1 / sigma_z^2. Value and slope are exact for a quadratic surface,
-so an element can be compared with a point between the pixels. (A plane through neighbouring points
-is wrong by the curvature, and its slope has ten times the noise.) There is an element
-at every pixel, so that it is evaluated near its centre only. Elements whose windows do not overlap
-are marked `is_apart`: errors of neighbouring pixels, which the filter of the decoder correlates, do
-not link them.
+(A plane through neighbouring points is wrong by the curvature, and its slope has ten times the
+noise.) There is an element at every pixel, so that it is evaluated near its centre only. Elements
+whose windows do not overlap are marked `is_apart`: errors of neighbouring pixels, which the filter
+of the decoder correlates, do not link them.
 
 Windows with a pixel without a point are left out, and those that the quadratic surface does not
 fit: edges, steps and points with a wrong fringe order.
@@ -31,7 +34,21 @@ MOST_PIXELS = 20_000
 """Pixels of one patch; of larger images every second, third, ... row and column is used."""
 MOST_MISFIT = 5.0
 """Largest mean square of the residuals of a window, over the median of all windows."""
-_TERMS = 6
+_CUBIC, _QUADRATIC = 3, 2
+
+
+@dataclass(frozen=True, eq=False)
+class FittedPolynomials:
+    """Polynomials of dx and dy in mm, one for each element; the terms are those of `_basis`.
+
+    Parameters
+    ----------
+    coefficients : (element, term), the term dx^p dy^q in mm^(1 - p - q)
+    covariance : (element, term, term) covariance for independent errors of the points
+    """
+
+    coefficients: FloatArray
+    covariance: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,22 +58,26 @@ class SurfaceElements:
     Parameters
     ----------
     centres_mm : (element, 2) x0 and y0
-    coefficients : (element, 6) c0 to c5: mm, 1, 1, 1/mm, 1/mm, 1/mm
-    covariance : (element, 6, 6) covariance of the coefficients for independent errors of the points
+    cubic, quadratic : fitted polynomials, the first for heights and the second for slopes
     is_apart : (element,) bool, elements whose windows do not overlap
     reach_mm : largest distance from the centre at which an element is evaluated
     """
 
     centres_mm: FloatArray
-    coefficients: FloatArray
-    covariance: FloatArray
+    cubic: FittedPolynomials
+    quadratic: FittedPolynomials
     is_apart: BoolImage
     reach_mm: float
 
     @property
     def points_mm(self) -> FloatArray:
         """Points of the surface at the centres, (element, xyz)."""
-        return np.column_stack([self.centres_mm, self.coefficients[:, 0]])
+        return np.column_stack([self.centres_mm, self.cubic.coefficients[:, 0]])
+
+    @property
+    def variance_mm2(self) -> FloatArray:
+        """Variances of the heights at the centres, (element,)."""
+        return self.cubic.covariance[:, 0, 0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,14 +122,14 @@ def surface_elements(points: PointMap) -> SurfaceElements:
 def values_at(elements: SurfaceElements, which: FloatArray, xy_mm: FloatArray) -> SurfaceValues:
     """Evaluate elements (n,), one at each place (n, 2)."""
     dx, dy = (xy_mm - elements.centres_mm[which]).T
-    value, along_x, along_y = _bases(dx, dy)
-    c, covariance = elements.coefficients[which], elements.covariance[which]
-    slopes = np.stack([along_x, along_y], axis=-2)
+    height, slope = elements.cubic, elements.quadratic
+    powers = _basis(dx, dy, _CUBIC)
+    along = np.stack(_derivatives(dx, dy), axis=-2)
     return SurfaceValues(
-        np.einsum("nk,nk->n", value, c),
-        np.einsum("nk,nkl,nl->n", value, covariance, value),
-        np.einsum("nsk,nk->ns", slopes, c),
-        np.einsum("nsk,nkl,ntl->nst", slopes, covariance, slopes),
+        np.einsum("nk,nk->n", powers, height.coefficients[which]),
+        np.einsum("nk,nkl,nl->n", powers, height.covariance[which], powers),
+        np.einsum("nsk,nk->ns", along, slope.coefficients[which]),
+        np.einsum("nsk,nkl,ntl->nst", along, slope.covariance[which], along),
     )
 
 
@@ -121,13 +142,22 @@ def _windows(image: NDArray[Any]) -> NDArray[Any]:
     return seen.reshape(*seen.shape[:2], -1)
 
 
-def _bases(dx: FloatArray, dy: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the derivatives of height and of both slopes by the coefficients, each (..., 6)."""
+def _exponents(degree: int) -> list[tuple[int, int]]:
+    """Return the exponents of dx and dy of all terms up to a degree, by increasing degree."""
+    return [(total - q, q) for total in range(degree + 1) for q in range(total + 1)]
+
+
+def _basis(dx: FloatArray, dy: FloatArray, degree: int) -> FloatArray:
+    """Return the terms dx^p dy^q of a polynomial, (..., term)."""
+    return np.stack([dx**p * dy**q for p, q in _exponents(degree)], axis=-1)
+
+
+def _derivatives(dx: FloatArray, dy: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the derivatives of the terms of a quadratic polynomial by dx and dy."""
     one, none = np.ones_like(dx), np.zeros_like(dx)
     return (
-        np.stack([one, dx, dy, 0.5 * dx**2, dx * dy, 0.5 * dy**2], axis=-1),
-        np.stack([none, one, none, dx, dy, none], axis=-1),
-        np.stack([none, none, one, none, dx, dy], axis=-1),
+        np.stack([none, one, none, 2.0 * dx, dy, none], axis=-1),
+        np.stack([none, none, one, none, dx, 2.0 * dy], axis=-1),
     )
 
 
@@ -140,15 +170,39 @@ def _fitted(
     dx, dy = x - centres[:, :1], y - centres[:, 1:]
     half_mm = float(np.median(np.maximum(np.abs(dx).max(axis=1), np.abs(dy).max(axis=1))))
     # In units of half a window, so that the normal equations are well-conditioned.
-    basis, _, _ = _bases(dx / half_mm, dy / half_mm)
-    weight = 1.0 / sigma**2
-    weighted = np.swapaxes(basis * weight[..., np.newaxis], 1, 2)
-    covariance = np.linalg.inv(weighted @ basis)
-    c = (covariance @ (weighted @ z[..., np.newaxis]))[..., 0]
-    misfit = (weight * (z - (basis @ c[..., np.newaxis])[..., 0]) ** 2).mean(axis=1)
+    at = (dx / half_mm, dy / half_mm, z, 1.0 / sigma**2)
+    quadratic, misfit = _least_squares(*at, _QUADRATIC)
+    cubic, _ = _least_squares(*at, _CUBIC)
     fits = misfit <= MOST_MISFIT * np.median(misfit)
-    unit = half_mm ** -np.array([0.0, 1.0, 1.0, 2.0, 2.0, 2.0])
-    covariance *= unit[:, np.newaxis] * unit
     # Half a window is three pixels: beyond half of it the nearest element is at an edge or a gap.
     reach_mm = 0.5 * half_mm
-    return SurfaceElements(centres[fits], (c * unit)[fits], covariance[fits], apart[fits], reach_mm)
+    return SurfaceElements(
+        centres[fits],
+        _in_mm(cubic, half_mm, _CUBIC, fits),
+        _in_mm(quadratic, half_mm, _QUADRATIC, fits),
+        apart[fits],
+        reach_mm,
+    )
+
+
+def _least_squares(
+    dx: FloatArray, dy: FloatArray, z: FloatArray, weight: FloatArray, degree: int
+) -> tuple[FittedPolynomials, FloatArray]:
+    """Fit windows (window, 49); return also the weighted mean square of each window's residuals."""
+    basis = _basis(dx, dy, degree)
+    weighted = np.swapaxes(basis * weight[..., np.newaxis], 1, 2)
+    covariance: FloatArray = np.asarray(np.linalg.inv(weighted @ basis), np.float64)
+    c = covariance @ (weighted @ z[..., np.newaxis])
+    misfit = (weight * (z - (basis @ c)[..., 0]) ** 2).mean(axis=1)
+    return FittedPolynomials(c[..., 0], covariance), misfit
+
+
+def _in_mm(
+    fitted: FittedPolynomials, unit_mm: float, degree: int, kept: BoolImage
+) -> FittedPolynomials:
+    """Return kept polynomials of dx and dy in mm, from those in another unit."""
+    unit = np.array([unit_mm ** -(p + q) for p, q in _exponents(degree)])
+    return FittedPolynomials(
+        fitted.coefficients[kept] * unit,
+        fitted.covariance[kept] * (unit[:, np.newaxis] * unit),
+    )

@@ -15,11 +15,11 @@ step. Distances above 5 standard deviations are left out, and those above 2 have
 
 Three properties of the estimate:
 
-- Scale. The distances are divided by the Birge ratio b, 1.4826 times their median over sigma. It
-  contains errors of neighbouring pixels that the decoder's filter correlates, which make the mean
-  of a window worse than for independent errors. Errors that are alike over a whole patch (a wrong
-  calibration, or the slope of a strongly curved surface: some per cent of a pixel's distance) are
-  not contained.
+- Scale. The distances are divided by the Birge ratio b, 1.4826 times their median over sigma, times
+  sqrt(n / (n - p)) for n distances that determine p = trace((I + H)^-1 H) unknowns. It contains
+  errors of neighbouring pixels that the decoder's filter correlates, which make the mean of a
+  window worse than for independent errors. Errors that are alike over a whole patch (a wrong
+  calibration) are not contained.
 - Noise of normals. The normals of a plane have noise, so that the information H = sum w J J^T has a
   part N along the plane: noise of one patch is matched with noise of the other, and the plane seems
   to fix its own sliding. The expectation of N follows from the covariance of the slopes (errors in
@@ -193,14 +193,16 @@ def register(
         )
     trees = [cKDTree(patch.centres_mm) for patch in patches]
     X = stage.factor(count)
-    v = np.zeros(X.shape[1])
+    v, determined = np.zeros(X.shape[1]), 0.0
     for number in range(_ITERATIONS):
         motion = (X @ v).reshape(count, 6)
         pairs = _all_distances(patches, trees, moved(nominal, motion))
-        birge = _birge_ratio(pairs)
+        birge = _birge_ratio(pairs, determined)
         H, noise, g = _normal_equations(pairs, count, birge)
         A = np.eye(len(v)) + X.T @ H @ X
-        step = np.linalg.solve(A, -v - X.T @ g)
+        inverse = np.linalg.inv(A)
+        determined = len(v) - float(np.trace(inverse))
+        step = inverse @ (-v - X.T @ g)
         step /= max(1, number - _FULL_STEPS)
         v = v + step
         moving = float(np.sqrt(step @ A @ step / len(v)))
@@ -211,7 +213,6 @@ def register(
             f"scan: the poses still move by {moving:.2g} of their standard deviation after "
             f"{_ITERATIONS} iterations; state the true sigma of the stage, or use larger overlaps"
         )
-    inverse = np.linalg.inv(A)
     held = np.eye(len(v)) + X.T @ noise @ X
     of_v = inverse @ (held @ held + X.T @ H @ X) @ inverse
     motion, end = (X @ v).reshape(count, 6), np.diag(stage.drift_mm)
@@ -274,7 +275,7 @@ def _distances(
     length = np.linalg.norm(normals, axis=1)
     normals /= length[:, np.newaxis]
     in_i = normals @ T_j_from_i[:3, :3]
-    variance = surface.variance_mm2 / length**2 + own.covariance[which, 0, 0] * in_i[:, 2] ** 2
+    variance = surface.variance_mm2 / length**2 + own.variance_mm2[which] * in_i[:, 2] ** 2
     by_both = np.hstack([twist_of(in_i, here), -twist_of(normals, there)])
     steps = [-np.eye(3)[axis] / length[:, np.newaxis] for axis in (0, 1)]
     by_slopes = [
@@ -292,14 +293,16 @@ def _distances(
     )
 
 
-def _birge_ratio(pairs: Sequence[_Distances]) -> float:
+def _birge_ratio(pairs: Sequence[_Distances], determined: float) -> float:
+    """Return b of distances that determine so many unknowns; each overlap has twice as many."""
     if not pairs:
         raise InputError(
             "scan: no two patches overlap; give positions with smaller steps, or check x_mm, y_mm "
             "and rotation_deg"
         )
     over_sigma = np.concatenate([np.abs(pair.distance_mm) / pair.sigma_mm for pair in pairs])
-    return max(MEDIAN_TO_SIGMA * float(np.median(over_sigma)), _LEAST_BIRGE)
+    left = float(np.sqrt(1.0 - determined / len(over_sigma)))
+    return max(MEDIAN_TO_SIGMA * float(np.median(over_sigma)) / left, _LEAST_BIRGE)
 
 
 def _normal_equations(

@@ -10,7 +10,7 @@ import pytest
 from reconstruction.errors import InputError
 from tests.cli.result_folder import CAPTURE, contents, refusal, write
 from twin.cli import run
-from twin.output import alone_in, claim, output_folder
+from twin.output import adding, alone_in, claim, claimed, output_folder
 
 
 def test_a_folder_with_foreign_files_is_kept(tmp_path, capsys):
@@ -149,8 +149,6 @@ def test_paper_leaves_a_folder_with_a_work_of_others(tmp_path, capsys):
 
 
 def test_folders_of_several_runs_keep_foreign_files(tmp_path):
-    from twin.output import adding, claim
-
     out = tmp_path / "out"
     claim(out, "compare", ["report"])
     (out / "notes").write_text("mine")
@@ -231,3 +229,19 @@ def test_a_manifest_with_files_outside_its_folder_removes_none(tmp_path, away):
     write(target, second="ours")
     assert further.read_text() == "of somebody else"
     assert not (target / "first").exists()
+
+
+def test_an_error_before_the_first_file_leaves_no_claimed_folder(tmp_path):
+    """Expected: new folders and the manifest go; an own empty folder and added files stay."""
+    (tmp_path / "mine").mkdir()
+    for out in (tmp_path / "new" / "out", tmp_path / "mine"):
+        with pytest.raises(InputError, match="stop"), claimed(out, "scan", ()):
+            raise InputError("stop")
+    assert contents(tmp_path) == {"mine": None}
+    used = tmp_path / "used"
+    with claimed(used, "scan", ()), adding(used, "map") as folder:
+        (folder / "map").write_text("1")
+    with pytest.raises(InputError, match="stop"), claimed(used, "scan", ["map"]):
+        raise InputError("stop")
+    assert (used / "map").read_text() == "1"
+    claim(used, "scan", ["map"])

@@ -45,6 +45,15 @@ def test_the_common_motion_keeps_the_sigma_of_the_stage(scanned):
         assert figures[name] == pytest.approx(20.0 / np.sqrt(2.0), rel=0.02)
 
 
+def test_an_error_leaves_no_folder(scanned, capsys):
+    plan = scanned / "apart.toml"
+    for patch in ("own", "missing"):
+        plan.write_text(f"{PLAN}x_mm = 500.0\n".replace("own", patch))
+        assert run(["scan", str(plan), "-o", str(scanned / "new" / "failed")]) == 2
+    assert "no two patches overlap" in capsys.readouterr().err
+    assert not (scanned / "new").exists()
+
+
 def test_pages_and_arrays_are_written(scanned):
     names = {path.name for path in (scanned / "out").iterdir()}
     assert {"scan.nc", "scan.ply", "scan.png", "poses.csv", "report.html"} <= names

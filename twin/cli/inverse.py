@@ -120,7 +120,7 @@ def identify(
     from twin.identification.record import COMMAND, WRITTEN, write_identified
     from twin.identification.run import identify as find
     from twin.identification.summary import SUMMARY_FILE, write_summary
-    from twin.output import adding, alone_in, claim
+    from twin.output import adding, claimed
     from twin.report import REPORT_NAMES
     from twin.report.identified import write_identified as draw
 
@@ -128,8 +128,7 @@ def identify(
     problem_to_solve = loaded.quick() if quick else loaded
     who = workers_of(workers, cluster)
     names = (*WRITTEN, SUMMARY_FILE, *REPORT_NAMES)
-    claim(out, COMMAND, names, [problem])
-    with alone_in(out), progress_bars() as watch:
+    with claimed(out, COMMAND, names, [problem]), progress_bars() as watch:
         posterior = find(problem_to_solve, experiments, out, who, watch=watch, inputs=[problem])
         with adding(out, *names) as folder:
             write_identified(folder, posterior, experiments)

@@ -25,8 +25,7 @@ from twin.config.schema import validated
 from twin.output import (
     RESULT_FILE,
     adding,
-    alone_in,
-    claim,
+    claimed,
     output_folder,
     versions,
     write_json,
@@ -302,9 +301,8 @@ def compare(
     MissingBackend : there is no usable Dr.Jit backend
     """
     _refuse_namesakes(experiments)
-    claim(out, COMMAND, _NAMES, inputs)
     run = _Run(out, fill, watch, plan or PhotometricPlan(), Memory())
-    with alone_in(out):
+    with claimed(out, COMMAND, _NAMES, inputs):
         outcomes = [
             _outcome(experiment, method, run) for experiment in experiments for method in methods
         ]

@@ -35,8 +35,7 @@ from twin.optics.stack import Truth
 from twin.output import (
     RESULT_FILE,
     adding,
-    alone_in,
-    claim,
+    claimed,
     end_exchange,
     output_folder,
     versions,
@@ -47,7 +46,7 @@ from twin.pipeline.methods import measure_into
 from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.results.parts import read_truth
 
-COMMAND, PLAN_FILE, TRUTH_FILE = "scan", "scan.toml", "truth.nc"
+COMMAND, TRUTH_FILE = "scan", "truth.nc"
 _FILES = (
     RESULT_FILE,
     "scan.nc",
@@ -135,8 +134,7 @@ def run_scan(
         written
     """
     experiments = experiments_of(scan)
-    claim(out, COMMAND, _FILES, inputs)
-    with alone_in(out):
+    with claimed(out, COMMAND, _FILES, inputs):
         folders = _measured(experiments, out, watch) if experiments else list(scan.results)
         watch("register", 0.0)
         done = join(scan.plan, [_points_of(folder) for folder in folders], _truths(scan, folders))
