@@ -127,7 +127,7 @@ def find_carrier(fringes_dn: FloatArray, axis: Axis) -> Carrier:
 
     Raises
     ------
-    InputError : the strongest frequency is below four fringes per image, or above 0.4 per px
+    InputError : the strongest frequency is four fringes per image or fewer, or above 0.4 per px
     """
     rows, cols = fringes_dn.shape
     taper = np.hanning(rows)[:, np.newaxis] * np.hanning(cols)
@@ -136,7 +136,6 @@ def find_carrier(fringes_dn: FloatArray, axis: Axis) -> Carrier:
     row, column = np.meshgrid(np.fft.fftfreq(rows), np.fft.fftfreq(cols), indexing="ij")
     frequency = np.hypot(row, column)
     along = row if axis == "row" else column
-    least = LEAST_FRINGES / max(rows, cols)
     power = np.where(along > 0.0, power, 0.0)
     peak = np.unravel_index(int(np.argmax(power)), power.shape)
     near = np.hypot(row - row[peak], column - column[peak]) < FLAT * frequency[peak]
@@ -145,11 +144,12 @@ def find_carrier(fringes_dn: FloatArray, axis: Axis) -> Carrier:
     carrier = Carrier(0.0, 0.0)
     if total > 0.0:
         carrier = Carrier(*(float((weight * f).sum()) / total for f in (column, row)))
-    if not least < carrier.frequency < MOST_FREQUENCY:
+    fringes = abs(carrier.column) * cols + abs(carrier.row) * rows
+    if fringes <= LEAST_FRINGES or carrier.frequency >= MOST_FREQUENCY:
         raise InputError(
-            f"patterns stepping 'single': the fringes have {carrier.frequency:.3g} periods per"
-            f" camera px; needed are more than {least:.3g} ({LEAST_FRINGES:g} in the image) and"
-            f" less than {MOST_FREQUENCY:g}; change period_px"
+            f"patterns stepping 'single': found {fringes:.3g} fringes in the image, with"
+            f" {carrier.frequency:.3g} periods per camera px; allowed more than {LEAST_FRINGES:g}"
+            f" fringes and less than {MOST_FREQUENCY:g}; change period_px"
         )
     return carrier
 

@@ -103,7 +103,7 @@ def test_spatial_unwrapping_of_one_frame_without_any_other(quiet_sensor):
 def test_no_carrier_is_an_error(quiet_sensor):
     patterns = single(period_px=400.0)
     stack = moving_frames(patterns, ramp(60, 100), 0.0)
-    with pytest.raises(InputError, match=r"periods per camera px; needed are more than 0.04"):
+    with pytest.raises(InputError, match=r"allowed more than 4 fringes and less than 0.4"):
         decode(stack, patterns, quiet_sensor)
 
 
@@ -114,3 +114,11 @@ def test_carrier_is_the_mean_frequency():
     assert carrier.column == pytest.approx(0.081, abs=5e-4)
     assert carrier.row == pytest.approx(-0.013, abs=5e-4)
     assert 0.0 < FLAT < 1.0
+
+
+def test_three_fringes_along_the_shorter_side_are_too_few():
+    """Why: the limit is a number of fringes in the image, along either of its sides."""
+    row = np.arange(120)[:, np.newaxis] * np.ones(160)
+    with pytest.raises(InputError, match=r"found 3\.\d* fringes in the image"):
+        find_carrier(100.0 * np.cos(2.0 * np.pi * 3.3 / 120 * row), "row")
+    assert find_carrier(100.0 * np.cos(2.0 * np.pi * 8 / 120 * row), "row").row > 0.0

@@ -304,6 +304,8 @@ def _patch_errors(patches: Sequence[PointMap], truths: Sequence[Truth]) -> dict[
         exact = _true_map([true], np.eye(4)[np.newaxis], 1.5 * typical_distance_mm(points))
         error, _ = map_error(fuse([own], exact.pitch_mm), exact)
         squares.append(float(np.mean(error**2)) if len(error) else np.nan)
+    if np.all(np.isnan(squares)):
+        return {}
     return {"patch_rmse_um": float(1e3 * np.sqrt(np.nanmean(squares)))}
 
 
