@@ -16,6 +16,7 @@ The first sample, which compiles kernels, is not counted. Last line:
 
 import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
@@ -140,7 +141,10 @@ def killed_and_resumed(scratch: Path, kills: int, count: int) -> dict[str, Any]:
         except subprocess.TimeoutExpired:
             os.killpg(run.pid, signal.SIGKILL)
             run.wait()
-        done += 1
+            done += 1
+            continue
+        for folder in ("killed", "killed.work"):  # the run has ended before: begin again
+            shutil.rmtree(scratch / folder)
     last = command(recipe, scratch / "killed", count, 1).wait()
     return {
         "kills": done,

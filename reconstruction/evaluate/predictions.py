@@ -5,7 +5,6 @@ pixel has no prediction. Target pixels are those of the measured surface that ar
 pixels are exact: a sample counts with its number of target pixels, also if it has no prediction.
 """
 
-import io
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 
 from reconstruction.arrays import BoolImage, FloatArray
 from reconstruction.errors import InputError, few
-from reconstruction.evaluate.samples import LabelledSample, arrays_of, read_samples
+from reconstruction.evaluate.samples import LabelledSample, arrays_of, npy, read_samples
 from reconstruction.reading import read_bytes
 from reconstruction.spatial_unwrapping import unwrap_spatially
 
@@ -326,8 +325,8 @@ def _prediction_files(folder: Path) -> dict[str, dict[str, Path]]:
 
 def _read_prediction(path: Path) -> Array:
     try:
-        values = np.asarray(np.load(io.BytesIO(read_bytes(path)), allow_pickle=False))
-    except (ValueError, EOFError) as error:
+        values = npy(read_bytes(path))
+    except ValueError as error:
         raise InputError(f"{path}: is no .npy file of numbers ({error})") from None
     if values.dtype.kind not in "fiub":
         raise InputError(f"{path}: is no .npy file of numbers (it has the type {values.dtype})")

@@ -11,6 +11,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
+from tokenize import TokenError
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,8 @@ from reconstruction.errors import InputError
 from reconstruction.reading import read_json
 
 SAMPLE_JSON, SCHEMA_JSON = "sample.json", "schema.json"
+SPLITS = ("train", "validation", "test")
+"""Parts of a data set; an object is in one of them only."""
 _NPY = ".npy"
 
 
@@ -66,8 +69,10 @@ def read_samples(dataset: Path, split: str, names: Collection[str]) -> Iterator[
 
     Raises
     ------
-    InputError : the split has no shard, or a shard cannot be read
+    InputError : the split is not known or has no shard, or a shard cannot be read
     """
+    if split not in SPLITS:
+        raise InputError(f"--split: found '{split}', allowed: {', '.join(SPLITS)}")
     shards = sorted(path for ending in _READERS for path in dataset.glob(f"{split}-*{ending}"))
     if not shards:
         raise InputError(f"{dataset}: the split '{split}' has no sample; choose another --split")
@@ -89,12 +94,21 @@ def _from_tar(shard: Path, names: Collection[str]) -> Iterator[LabelledSample]:
                 if content is not None:
                     read[name] = content.read()
             described = json.loads(read.pop(SAMPLE_JSON))
-            arrays = {name.removesuffix(_NPY): _npy(content) for name, content in read.items()}
+            arrays = {name.removesuffix(_NPY): npy(content) for name, content in read.items()}
             yield LabelledSample(key, described, arrays)
 
 
-def _npy(content: bytes) -> NDArray[Any]:
-    return np.asarray(np.load(io.BytesIO(content), allow_pickle=False))
+def npy(content: bytes) -> NDArray[Any]:
+    """Return the array of the bytes of an .npy file.
+
+    Raises
+    ------
+    ValueError : the bytes are no .npy file, or damaged
+    """
+    try:
+        return np.asarray(np.lib.format.read_array(io.BytesIO(content), allow_pickle=False))
+    except (EOFError, SyntaxError, TypeError, TokenError) as error:  # by a damaged header
+        raise ValueError(str(error)) from None
 
 
 def _from_hdf5(shard: Path, names: Collection[str]) -> Iterator[LabelledSample]:

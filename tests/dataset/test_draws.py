@@ -40,6 +40,15 @@ def test_ranges_are_drawn_uniformly(axis: dict, expected: object) -> None:
     assert stats.kstest(drawn, expected.cdf).pvalue > 0.01
 
 
+def test_all_whole_numbers_of_a_range_are_equally_frequent() -> None:
+    """Rounded values gave the two ends half the share of the others."""
+    recipe = recipe_of({"path": "specimen.seed", "low": 0, "high": 2, "integer": True})
+    scene = recipe.scene[0]
+    drawn = [levels_of(recipe, scene, number)["specimen.seed"].label for number in range(600)]
+    assert set(drawn) == {0, 1, 2}
+    assert stats.chisquare([drawn.count(value) for value in (0, 1, 2)]).pvalue > 0.01
+
+
 def test_levels_and_scenes_are_drawn_with_their_weights() -> None:
     scenes = [{"name": n, "base": "x", "weight": w} for n, w in (("a", 1.0), ("b", 3.0))]
     recipe = recipe_of(KINDS, scene=scenes)

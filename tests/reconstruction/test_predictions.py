@@ -3,6 +3,7 @@
 import io
 import json
 import tarfile
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 
 from reconstruction.errors import InputError
 from reconstruction.evaluate.predictions import score_baseline, score_predictions
+from reconstruction.evaluate.samples import npy as read_npy
 
 SHAPE = (12, 16)
 ROWS, COLS = np.indices(SHAPE)
@@ -207,3 +209,24 @@ def test_spatial_unwrapping_of_a_plane_is_exact_and_stops_at_a_jump(tmp_path) ->
 def test_faults_of_baselines(dataset, name: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
         score_baseline(name, dataset)
+
+
+@pytest.mark.parametrize("split", ["all", "/test", "**", "*"])
+def test_an_unknown_split_is_one_line(dataset, tmp_path, split: str) -> None:
+    folder = predict(tmp_path / "p", k00=truth()["depth_mm"])
+    with pytest.raises(InputError, match=r"--split: found .* allowed: train, validation, test"):
+        score_predictions(folder, dataset, split)
+
+
+def test_damaged_bytes_of_an_array_are_a_value_error() -> None:
+    """Archives, cut and changed headers: NumPy raises errors of several kinds."""
+    intact, rng = npy(np.zeros((4, 5), np.float32)), np.random.default_rng(0)
+    np.testing.assert_array_equal(read_npy(intact), np.zeros((4, 5)))
+    damaged = [b"", b"PK" + intact, intact[:40], intact[:-8]]
+    for _ in range(300):
+        changed = bytearray(intact)
+        changed[int(rng.integers(128))] ^= 1 << int(rng.integers(8))
+        damaged.append(bytes(changed))
+    for content in damaged:
+        with suppress(ValueError):
+            read_npy(content)

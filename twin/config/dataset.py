@@ -22,7 +22,6 @@ from twin.config.schema import validated
 from twin.config.study import with_inputs, without_absent
 
 Name = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_\-]*$", max_length=64)]
-SPLITS = ("train", "validation", "test")
 
 
 class RecipeScene(Model):

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from twin.config import ConfigError, Experiment, vary
-from twin.config.axis import Level
+from twin.config.axis import Axis, Level
 from twin.config.dataset import Recipe, RecipeScene
 from twin.config.digest import keyed_sequence, with_file_contents
 from twin.config.study import without_absent
@@ -113,9 +113,23 @@ def scene_of(recipe: Recipe, number: int) -> int:
 def levels_of(recipe: Recipe, scene: RecipeScene, number: int) -> dict[str, Level]:
     """Return the drawn level of each axis of a scene, by the title of the axis."""
     return {
-        axis.title: axis.level_at(share_of(recipe.seed, f"axis {axis.title}", number))
+        axis.title: _drawn_level(axis, share_of(recipe.seed, f"axis {axis.title}", number))
         for axis in recipe.axes_of(scene)
     }
+
+
+def _drawn_level(axis: Axis, share: float) -> Level:
+    """Return the level at a share (0 to below 1) of an axis; all whole numbers of a range count.
+
+    Rounded values, as in a study, would be half as frequent at both ends of the range.
+    """
+    if not (axis.is_continuous and axis.integer):
+        return axis.level_at(share)
+    assert axis.low is not None  # the validator's
+    assert axis.high is not None
+    low, end = float(np.ceil(axis.low)), float(np.floor(axis.high)) + 1.0
+    value = low * (end / low) ** share if axis.scale == "log" else low + (end - low) * share
+    return axis.level_of(min(float(np.floor(value)), end - 1.0))
 
 
 def object_digest(experiment: Experiment) -> str:

@@ -14,9 +14,10 @@ from typing import Any
 import tomli_w
 
 from reconstruction.errors import InputError, counted
+from reconstruction.evaluate.samples import SPLITS, npy
 from reconstruction.writing import write_bytes, write_text
 from twin.config import Experiment
-from twin.config.dataset import SPLITS, Recipe
+from twin.config.dataset import Recipe
 from twin.dataset.draws import SampleDraw, draw_sample
 from twin.dataset.quantities import SAMPLE_QUANTITIES, check_held
 from twin.dataset.shards import (
@@ -24,7 +25,6 @@ from twin.dataset.shards import (
     SAMPLE_JSON,
     PackedSample,
     arrow,
-    npy_array,
     write_shards,
 )
 from twin.dataset.taking import SAMPLE_FOLDER, SampleMeasurer, SampleMeasuring
@@ -78,7 +78,14 @@ Presenter = Callable[[Path, PackedDataSet], None]
 
 
 def work_folder(out: Path) -> Path:
-    """Return the folder of the store of the samples of a data set."""
+    """Return the folder of the store of the samples of a data set.
+
+    Raises
+    ------
+    InputError : the data set's folder has no name
+    """
+    if out.name in ("", ".."):
+        raise InputError(f"-o {out}: found no name of a folder; give one, for example -o out")
     return out.with_name(f"{out.name}.work")
 
 
@@ -238,9 +245,9 @@ def _plain(figures: Metrics) -> dict[str, Any]:
 
 def sample_schema(samples: Sequence[PackedSample]) -> dict[str, Any]:
     """Return the description of the files of a sample: type, axes, unit, meaning."""
-    first = samples[0]
     described: dict[str, Any] = {}
-    for name, path in first.files.items():
+    files = {name: path for sample in reversed(samples) for name, path in sample.files.items()}
+    for name, path in files.items():
         stem = name.partition(".")[0]
         quantity = SAMPLE_QUANTITIES.get(stem)
         if quantity is None:
@@ -252,7 +259,7 @@ def sample_schema(samples: Sequence[PackedSample]) -> dict[str, Any]:
             "meaning": quantity.meaning,
         }
         if name.endswith(".npy"):
-            described[name]["dtype"] = str(npy_array(path.read_bytes()).dtype)
+            described[name]["dtype"] = str(npy(path.read_bytes()).dtype)
     described[SAMPLE_JSON] = {"type": "text", "meaning": _TEXTS[SAMPLE_JSON]}
     return {"schema_version": 1, "files": described}
 

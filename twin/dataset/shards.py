@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
+from reconstruction.evaluate.samples import SPLITS, npy
 from reconstruction.writing import write_bytes
-from twin.config.dataset import SPLITS
 from twin.dataset.quantities import SAMPLE_QUANTITIES
 from twin.extras import missing
 
@@ -132,7 +132,7 @@ def _hdf5(samples: Sequence[PackedSample]) -> memoryview:
                 if ending != "npy":
                     group.attrs[name] = content.decode()
                     continue
-                array = group.create_dataset(stem, data=npy_array(content), track_times=False)
+                array = group.create_dataset(stem, data=npy(content), track_times=False)
                 array.attrs["units"] = SAMPLE_QUANTITIES[stem].unit
     return made.getbuffer()
 
@@ -145,7 +145,7 @@ def _parquet(samples: Sequence[PackedSample]) -> memoryview:
     for name in dict.fromkeys(name for row in rows for name in row):
         contents = [row.get(name) for row in rows]
         if name.endswith(".npy"):
-            arrays = [None if c is None else npy_array(c) for c in contents]
+            arrays = [None if c is None else npy(c) for c in contents]
             columns[name.removesuffix(".npy")] = _nested(pyarrow, arrays)
         else:
             texts = [None if c is None else c.decode() for c in contents]
@@ -158,12 +158,14 @@ def _parquet(samples: Sequence[PackedSample]) -> memoryview:
 def _nested(pyarrow: Any, arrays: Sequence[Any]) -> Any:
     """Return arrays of equal number of axes as an Arrow column of nested lists, one per row."""
     present = [array for array in arrays if array is not None]
-    kind = pyarrow.from_numpy_dtype(present[0].dtype)
+    # Frames of 8 and of 12 bits in one shard have the larger type.
+    dtype = np.result_type(*(array.dtype for array in present))
+    kind = pyarrow.from_numpy_dtype(dtype)
     for _ in range(present[0].ndim):
         kind = pyarrow.list_(kind)
     return pyarrow.chunked_array(
         [
-            pyarrow.nulls(1, kind) if array is None else _one_nested(pyarrow, array)
+            pyarrow.nulls(1, kind) if array is None else _one_nested(pyarrow, array.astype(dtype))
             for array in arrays
         ],
         kind,
@@ -192,8 +194,3 @@ def arrow(where: str) -> tuple[Any, Any]:
     except ModuleNotFoundError:
         raise missing(where, "pyarrow", "sweep") from None
     return pyarrow, pyarrow.parquet
-
-
-def npy_array(content: bytes) -> Any:
-    """Return the array of the bytes of an .npy file."""
-    return np.load(io.BytesIO(content), allow_pickle=False)

@@ -10,11 +10,11 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
+from reconstruction.evaluate.samples import SPLITS, npy
 from reconstruction.writing import write_text
-from twin.config.dataset import SPLITS
 from twin.dataset.make import DRAWN, PackedDataSet
 from twin.dataset.quantities import SAMPLE_QUANTITIES
-from twin.dataset.shards import ENDINGS, PackedSample, npy_array
+from twin.dataset.shards import ENDINGS, PackedSample
 from twin.output import versions
 from twin.report.canvas import (
     MEASURED,
@@ -238,7 +238,7 @@ def _image_of(sample: PackedSample) -> NDArray[Any] | None:
         return read_pixels(sample.files["frames.000.png"])
     for name in _PICTURED:
         if f"{name}.npy" in sample.files:
-            values: NDArray[Any] = npy_array(sample.files[f"{name}.npy"].read_bytes())
+            values: NDArray[Any] = npy(sample.files[f"{name}.npy"].read_bytes())
             return values[0] if SAMPLE_QUANTITIES[name].axes[0] == "frame" else values
     return None
 
@@ -257,7 +257,7 @@ def _map_of(sample: PackedSample) -> NDArray[Any] | None:
     name = next((name for name in _MAPS if f"{name}.npy" in sample.files), None)
     if name is None:
         return None
-    values: NDArray[Any] = npy_array(sample.files[f"{name}.npy"].read_bytes())
+    values: NDArray[Any] = npy(sample.files[f"{name}.npy"].read_bytes())
     # Depth increases away from the camera: drawn negative, so that high points are bright.
     return -values if name == "depth_mm" else values
 
