@@ -18,7 +18,8 @@ from reconstruction.pipeline import reconstruct
 from reconstruction.rig.calibration import Calibration
 from twin.config import Experiment, load_experiment
 from twin.config.board import BoardFile, BoardPose, load_board
-from twin.pipeline.calibration import BoardCalibration, calibrate_rendered, record_board
+from twin.pipeline.board_calibration import BoardCalibration
+from twin.pipeline.calibration import calibrate_rendered, record_board
 from twin.pipeline.captures import options_of
 
 SMOOTH_MM, LENGTH_MM = 1.0, 10.0

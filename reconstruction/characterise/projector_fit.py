@@ -27,6 +27,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from reconstruction.arrays import BoolImage, FloatArray, Reason, Stack
+from reconstruction.characterise.frame_model import FittedPixels, eliminated, linear_frames
 from reconstruction.characterise.photon_transfer import (
     NoiseSamples,
     PhotonTransfer,
@@ -36,14 +37,12 @@ from reconstruction.characterise.photon_transfer import (
 from reconstruction.decoding.decode import Decoded
 from reconstruction.errors import InputError
 from reconstruction.patterns import AXES, PatternSet
-from reconstruction.pixel_shape import pixels_per_column, smear_px
-from reconstruction.rig.projected_light import GAMMA_RANGE, ProjectorResponse, blurred
+from reconstruction.pixel_shape import pixels_per_column
+from reconstruction.rig.projected_light import GAMMA_RANGE, ProjectorResponse
 from reconstruction.rig.sensor import SensorNoise
 
-PER_PX = 16
 _GAMMAS, _MOST_BLUR_PX = (GAMMA_RANGE[0] + 0.01, GAMMA_RANGE[1] - 0.01), 9.0
 _STEPS, _ROUNDS = 8, 3
-_DIFFERENCE = 1e-3
 # Largest change of gamma and of blur (px) in one step, and in the last step of a converged fit.
 _LARGEST_STEP, _SETTLED = 0.3, 0.1
 _BLOCKS = 8
@@ -106,36 +105,6 @@ class ProjectorFit:
             self.blur_px.value,
             self.blur_px.uncertainty,
         )
-
-
-@dataclass(frozen=True, eq=False)
-class _FittedPixels:
-    """The fitted pixels and their unknowns.
-
-    frames : (pixel, frame) measured values, DN
-    own : (pixel, 2 + number of axes) unknowns of each pixel: o, s, DN, then u and v, projector px
-    block : (pixel,) number of the image block that contains the pixel
-    axes : index in `AXES` of each projector axis
-    """
-
-    frames: FloatArray
-    own: FloatArray
-    block: FloatArray
-    axes: tuple[int, ...]
-
-
-@dataclass(frozen=True, eq=False)
-class _Linear:
-    """The model and its derivatives at given values of all unknowns.
-
-    predicted : (pixel, frame) predicted values, DN
-    own : (pixel, frame, unknown of the pixel) derivatives by o, s, u, v
-    common : (pixel, frame, 2) derivatives by gamma and blur
-    """
-
-    predicted: FloatArray
-    own: FloatArray
-    common: FloatArray
 
 
 def fit_projector(
@@ -203,7 +172,7 @@ def _require_frames(patterns: PatternSet) -> None:
 
 def _chosen(
     stack: Stack, patterns: PatternSet, sensor: SensorNoise, decoded: Decoded, count: int
-) -> _FittedPixels:
+) -> FittedPixels:
     """Select at most `count` pixels, evenly among those that are valid and not clipped.
 
     Pixels within 8 projector px of the border of the projector image are left out, too.
@@ -233,7 +202,7 @@ def _chosen(
     rows, cols = decoded.mask_reason.shape
     block = row * _BLOCKS // rows * _BLOCKS + col * _BLOCKS // cols
     axes = tuple(AXES.index(axis) for axis in patterns.axes)
-    return _FittedPixels(frames, np.stack(columns, axis=1), block, axes)
+    return FittedPixels(frames, np.stack(columns, axis=1), block, axes)
 
 
 def _with_noise(sensor: SensorNoise, transfer: PhotonTransfer) -> SensorNoise:
@@ -243,132 +212,24 @@ def _with_noise(sensor: SensorNoise, transfer: PhotonTransfer) -> SensorNoise:
     )
 
 
-class _LightNodes:
-    """Tables (node, frame) of the light L_k along one axis, with 16 nodes per projector pixel.
-
-    Further tables have its derivatives by position, gamma and blur.
-    """
-
-    def __init__(self, patterns: PatternSet, axis: int, light: FloatArray) -> None:
-        name = AXES[axis]
-        self.frames = [k for k, frame in enumerate(patterns.frames) if frame.axis == name]
-        levels = np.stack([patterns.profile(patterns.frames[k]) for k in self.frames], axis=1)
-        self._nodes_px = np.arange(0.0, patterns.length_px(name) - 1.0, 1.0 / PER_PX)
-
-        per_column = pixels_per_column(patterns.pixel_ratio, name)
-        smear = smear_px(patterns.pixel_ratio, name)
-
-        def shown(gamma: float, blur_px: float) -> FloatArray:
-            relative = ProjectorResponse(gamma).light(levels)
-            return blurred(relative, self._nodes_px, per_column * blur_px, smear)
-
-        gamma, blur_px = light.tolist()
-        self.light = shown(gamma, blur_px)
-        up, wide = gamma + _DIFFERENCE, blur_px + _DIFFERENCE
-        down, narrow = gamma - _DIFFERENCE, blur_px - _DIFFERENCE
-        self.by_gamma = (shown(up, blur_px) - shown(down, blur_px)) / (2.0 * _DIFFERENCE)
-        self.by_blur = (shown(gamma, wide) - shown(gamma, narrow)) / (2.0 * _DIFFERENCE)
-        self.by_place = np.gradient(self.light, 1.0 / PER_PX, axis=0)
-
-    def at(self, table: FloatArray, u_px: FloatArray) -> FloatArray:
-        """Return a table interpolated at positions (pixel,), projector px: (pixel, frame)."""
-        place = np.clip(u_px * PER_PX, 0.0, len(self._nodes_px) - 1.001)
-        node = place.astype(int)
-        share = (place - node)[:, None]
-        return np.asarray(table[node] + share * (table[node + 1] - table[node]))
-
-
-def _model(pixels: _FittedPixels, patterns: PatternSet, light: FloatArray) -> _Linear:
-    count = len(patterns.frames)
-    shape = len(pixels.frames), count
-    relative, by_gamma, by_blur = np.zeros(shape), np.zeros(shape), np.zeros(shape)
-    own = np.zeros((*shape, pixels.own.shape[1]))
-    for place, axis in enumerate(pixels.axes):
-        table = _LightNodes(patterns, axis, light)
-        u_px = pixels.own[:, 2 + place]
-        relative[:, table.frames] = table.at(table.light, u_px)
-        by_gamma[:, table.frames] = table.at(table.by_gamma, u_px)
-        by_blur[:, table.frames] = table.at(table.by_blur, u_px)
-        by_place = table.at(table.by_place, u_px) * pixels.own[:, 1:2]
-        own[:, table.frames, 2 + place] = by_place
-    for k, frame in enumerate(patterns.frames):
-        if frame.axis is None:
-            relative[:, k] = _uniform(patterns, frame.kind == "white", light[0])
-            change = _uniform(patterns, frame.kind == "white", light[0] + _DIFFERENCE)
-            by_gamma[:, k] = (change - relative[:, k]) / _DIFFERENCE
-    own[..., 0], own[..., 1] = 1.0, relative
-    scale = pixels.own[:, 1:2]
-    predicted = pixels.own[:, 0:1] + scale * relative
-    return _Linear(predicted, own, np.stack([scale * by_gamma, scale * by_blur], axis=-1))
-
-
-def _uniform(patterns: PatternSet, is_white: bool, gamma: float) -> float:
-    level = patterns.high_level if is_white else patterns.low_level
-    return float((level / 255.0) ** gamma)
-
-
-def _weights(predicted: FloatArray, noise: SensorNoise) -> FloatArray:
-    return np.asarray(1.0 / np.maximum(noise.variance_dn2(predicted), 1e-3))
-
-
-@dataclass(frozen=True, eq=False)
-class _Projected:
-    """Residuals and derivatives by gamma and blur after elimination of the pixels' own unknowns.
-
-    weight : (pixel, frame) 1 / variance
-    inverse : (pixel, unknown, unknown) inverse of the normal matrix of the pixel's own unknowns
-    residual, common : (pixel, frame) and (pixel, frame, 2), residuals and derivatives, orthogonal
-        to the derivatives by the pixel's own unknowns
-    own_step : (pixel, unknown) Gauss-Newton step of the own unknowns at fixed gamma and blur
-    own_by_common : (pixel, unknown, 2) reduction of that step per change of gamma and blur
-    """
-
-    weight: FloatArray
-    inverse: FloatArray
-    residual: FloatArray
-    common: FloatArray
-    own_step: FloatArray
-    own_by_common: FloatArray
-
-
-def _projected(pixels: _FittedPixels, model: _Linear, noise: SensorNoise) -> _Projected:
-    weight = _weights(model.predicted, noise)
-    residual = pixels.frames - model.predicted
-    weighted = model.own * weight[..., None]
-    normal = np.einsum("pki,pkj->pij", weighted, model.own)
-    # If the values of a pixel do not depend on its coordinate, the coordinate is not changed.
-    normal += 1e-9 * np.einsum("pii->pi", normal)[:, :, None] * np.eye(normal.shape[-1])
-    inverse = np.linalg.inv(normal)
-    own_step = np.einsum("pij,pkj,pk->pi", inverse, weighted, residual)
-    own_by_common = np.einsum("pij,pkj,pkc->pic", inverse, weighted, model.common)
-    return _Projected(
-        weight,
-        inverse,
-        residual - np.einsum("pki,pi->pk", model.own, own_step),
-        model.common - np.einsum("pki,pic->pkc", model.own, own_by_common),
-        own_step,
-        own_by_common,
-    )
-
-
 def _free(limits: FitLimits) -> FloatArray:
     return np.array([0.0 if limits.gamma_known else 1.0, 1.0])
 
 
 def _converged(
-    pixels: _FittedPixels,
+    pixels: FittedPixels,
     patterns: PatternSet,
     light: FloatArray,
     noise: SensorNoise,
     limits: FitLimits,
-) -> tuple[_FittedPixels, FloatArray, FloatArray, float]:
+) -> tuple[FittedPixels, FloatArray, FloatArray, float]:
     """Fit by Gauss-Newton steps; return pixels, (gamma, blur), information matrix, last change.
 
     The information matrix (2, 2) is that of gamma and blur.
     """
     free = _free(limits)
     for _ in range(_STEPS):
-        parts = _projected(pixels, _model(pixels, patterns, light), noise)
+        parts = eliminated(pixels, linear_frames(pixels, patterns, light), noise)
         common = parts.common * free
         information = np.einsum("pkc,pk,pkd->cd", common, parts.weight, common)
         _require_separable(information, free)
@@ -416,7 +277,7 @@ def _require_separable(information: FloatArray, free: FloatArray) -> None:
 
 
 def _residual_samples(
-    pixels: _FittedPixels,
+    pixels: FittedPixels,
     patterns: PatternSet,
     light: FloatArray,
     noise: SensorNoise,
@@ -426,8 +287,8 @@ def _residual_samples(
 
     The scores (pixel, 2) are the derivatives of the log-likelihood by gamma and blur.
     """
-    model = _model(pixels, patterns, light)
-    parts = _projected(pixels, model, noise)
+    model = linear_frames(pixels, patterns, light)
+    parts = eliminated(pixels, model, noise)
     leverage = parts.weight * np.einsum("pki,pij,pkj->pk", model.own, parts.inverse, model.own)
     remaining = 1.0 - leverage
     counted = remaining > 0.2

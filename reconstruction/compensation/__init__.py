@@ -1,6 +1,15 @@
 """Compute the rigid object behind a coat from the measured relief, without ground truth."""
 
 from reconstruction.compensation.bar import BarPlace, BarUnderSheet, bar_under_sheet
+from reconstruction.compensation.fitted_slab import (
+    CoatSlopes,
+    CompensatedSlab,
+    FittedNumber,
+    FittedSlab,
+    KnownForce,
+    SlabCoat,
+    SlabModel,
+)
 from reconstruction.compensation.gel import CompensatedGel, GelLayer, compensate_gel
 from reconstruction.compensation.known_ball import (
     CalibratedSheet,
@@ -13,17 +22,7 @@ from reconstruction.compensation.presentation import contact_arrays
 from reconstruction.compensation.relief import Relief, SheetOpening, relief_on_frame
 from reconstruction.compensation.sheet import CompensatedSheet, compensate_sheet
 from reconstruction.compensation.sheet_layer import SheetLayer
-from reconstruction.compensation.slab import (
-    CoatSlopes,
-    CompensatedSlab,
-    FittedNumber,
-    FittedSlab,
-    KnownForce,
-    SlabCoat,
-    SlabModel,
-    bound_under_slab,
-    fit_under_slab,
-)
+from reconstruction.compensation.slab import bound_under_slab, fit_under_slab
 
 __all__ = [
     "BarPlace",

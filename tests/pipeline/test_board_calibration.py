@@ -15,7 +15,7 @@ from tests.reconstruction.test_calibrate_adjust import (
     board_poses,
     observations,
 )
-from twin.pipeline.calibration import BoardCalibration
+from twin.pipeline.board_calibration import BoardCalibration
 
 
 @pytest.fixture(scope="module")

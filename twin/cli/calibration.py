@@ -91,7 +91,7 @@ def calibrate(
     from reconstruction.calibration import AdjustOptions, Freedom
     from twin.config.board import load_board
     from twin.output import output_folder
-    from twin.pipeline import calibration
+    from twin.pipeline import board_calibration, calibration
     from twin.report.calibration import draw_calibration
 
     shown = load_board(board)
@@ -112,7 +112,7 @@ def calibrate(
                 done = calibration.calibrate_rendered(
                     rig, shown, options, keep=keep, as_images=as_images, watch=watch
                 )
-        figures = calibration.write_board_calibration(folder, done)
+        figures = board_calibration.write_board_calibration(folder, done)
         draw_calibration(folder, done)
     print_metrics(figures)
     say(f"wrote {out}")
@@ -161,7 +161,7 @@ def import_calibration(
     from reconstruction.rig.importing import import_calibration as read
     from reconstruction.rig.named_numbers import parsed_keys
     from twin.output import output_folder
-    from twin.pipeline.calibration import CALIBRATION_FILE, write_imported
+    from twin.pipeline.board_calibration import CALIBRATION_FILE, write_imported
 
     options = Importing(camera_size, projector_size, unit, projector_first, standoff_mm)
     options = replace(options, keys=parsed_keys(key or ()), pose=pose, baseline_mm=baseline_mm)

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from reconstruction.arrays import FloatArray
-from twin.pipeline.calibration import BoardCalibration
+from twin.pipeline.board_calibration import BoardCalibration
 from twin.report.canvas import (
     FAINT,
     FIT,

@@ -25,8 +25,9 @@ from twin.config.sensor_layer import SensorLayer
 from twin.mechanics import PressedElastomer
 from twin.output import replace_json, versions
 from twin.pipeline import Memory, measure
+from twin.pipeline.board_calibration import calibration_metrics
 from twin.pipeline.bound import bounds_alone, object_bounds
-from twin.pipeline.calibration import calibrate_rendered, calibration_metrics
+from twin.pipeline.calibration import calibrate_rendered
 from twin.pipeline.captures import options_of
 from twin.pipeline.compensation import with_compensation
 from twin.pipeline.gradients import bound_gradient
