@@ -36,8 +36,9 @@ def predicted_motion_figures(
 ) -> dict[str, Metric]:
     """Return the predicted errors of z by motion, um, over the target points; nothing without.
 
-    `motion_predicted_over_actual` is the median, over the points whose error against the truth of
-    time 0 exceeds `_CLEAR_SIGMAS` of its noise, of predicted over actual error.
+    `motion_predicted_over_actual` is the median of predicted over actual error, over the points
+    whose error against the truth of time 0 exceeds `_CLEAR_SIGMAS` of its noise. It is None if
+    these are less than half of the points: noise exceeds the motion.
     """
     motion, points = reconstruction.motion, reconstruction.point_map
     target = points.valid & wanted_pixels(experiment, truth)
@@ -53,6 +54,8 @@ def predicted_motion_figures(
     )
     actual_um = 1e3 * np.abs(measured_mm.astype(np.float64) - true_mm)
     clear = actual_um > _CLEAR_SIGMAS * sigma_um
+    if clear.mean() < 0.5:
+        clear[:] = False
     ratios = np.abs(error_um + lag_um)[clear] / actual_um[clear]
     return {
         "motion_error_rms_um": figure_of(error_um, rms),
