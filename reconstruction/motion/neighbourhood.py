@@ -70,8 +70,9 @@ def motion_nearby(
     for _ in range(_ITERATIONS):
         _, change_rad, sigma_share = _fitted(frames[:, valid], steps, rate_rad[valid])
         weights[valid] = 1.0 / (np.square(sigma_share) * noise_dn2)
-        change_rad = _nearby(change_rad, weights, valid, window_px)
-        rate_rad += np.clip(change_rad, -LARGEST_CHANGE, LARGEST_CHANGE)
+        # The mean of the whole rates: a mean of the changes would sharpen with every iteration.
+        better_rad = _nearby(rate_rad[valid] + change_rad, weights, valid, window_px)
+        rate_rad += np.clip(better_rad - rate_rad, -LARGEST_CHANGE, LARGEST_CHANGE)
     phase_rad, _, _ = _fitted(frames[:, valid], steps, rate_rad[valid])
     error_px = np.zeros(valid.shape)
     per_rad = patterns.period_along(axis) / TURN
