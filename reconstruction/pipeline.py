@@ -17,6 +17,7 @@ from reconstruction.codes import Unwrap
 from reconstruction.colouring import Deviation, Intensity
 from reconstruction.decoding.decode import AxisDecode, Decoded, DecodeOptions, decode
 from reconstruction.errors import CaptureError, InputError, one_line
+from reconstruction.motion.prediction import Geometry, PredictedMotion, of_residuals
 from reconstruction.netcdf import (
     PIXELS,
     LabelledArrays,
@@ -43,12 +44,14 @@ class ReconstructOptions:
         the triangulated point, see `EpipolarTolerance`
     through_layers : refract the rays at the calibration's plane layers; False: triangulate as if
         there were only air above the surface, like software without a layer model
+    motion_error : predict the error of each point by motion from the residuals of the phase frames
     """
 
     decode: DecodeOptions = field(default_factory=DecodeOptions)
     use: Use = "column"
     tolerance: EpipolarTolerance = field(default_factory=EpipolarTolerance)
     through_layers: bool = True
+    motion_error: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,10 +62,12 @@ class Reconstruction:
     ----------
     decoded : projector coordinates, their sigma and a reason code of each camera pixel
     point_map : points in the world frame and their sigma
+    motion : predicted errors by motion; None: not predicted
     """
 
     decoded: Decoded
     point_map: PointMap
+    motion: PredictedMotion | None = None
 
     def __repr__(self) -> str:
         rows, cols = self.point_map.mask_reason.shape
@@ -106,7 +111,7 @@ class Reconstruction:
 
     def to_xarray(self) -> "xarray.Dataset":
         """Return all maps, (row, col) of the camera, as they are stored in reconstruction.nc."""
-        return reconstruction_arrays(self.decoded, self.point_map).to_xarray()
+        return reconstruction_arrays(self.decoded, self.point_map, self.motion).to_xarray()
 
 
 def reconstruct(
@@ -124,8 +129,8 @@ def reconstruct(
 
     Raises
     ------
-    InputError : stack, patterns, calibration and stage are inconsistent, or `unwrap` returns
-        coordinates of another shape
+    InputError : stack, patterns, calibration and stage are inconsistent, `unwrap` returns
+        coordinates of another shape, or the residuals of the patterns contain no motion to predict
     """
     chosen = options or ReconstructOptions()
     rig, stack = capture.calibration, capture.stack
@@ -148,7 +153,11 @@ def reconstruct(
     model = rig if chosen.through_layers else replace(rig, layers=None)
     use: Use = chosen.use if len(decoded.axes) == 2 else decoded.axes[0]
     point_map = triangulate(decoded, model, use, chosen.tolerance)
-    return Reconstruction(decoded, point_map)
+    motion = None
+    if chosen.motion_error:
+        measured = Geometry(decoded, point_map, model, use)
+        motion = of_residuals(measured, capture.patterns, stack, capture.sensor)
+    return Reconstruction(decoded, point_map, motion)
 
 
 def filter_bias(
@@ -218,6 +227,9 @@ _LONG_NAMES = {
     "residual": "residual of the phase fit",
     "bias_share_column": "share of the filter's bias in the variance of the column",
     "bias_share_row": "share of the filter's bias in the variance of the row",
+    "phase_rate_": "change of the phase from frame to frame by motion",
+    "motion_error_": "predicted error by motion during the phase frames",
+    "motion_lag_": "predicted displacement by motion from the reference time to the phase frames",
 }
 
 
@@ -304,9 +316,14 @@ def write_point_map_ply(
     write_ply(path, at_pixels(point_map.points_world_mm, valid), scalars, tuple(comments))
 
 
-def write_reconstruction(path: Path | str, decoded: Decoded, point_map: PointMap) -> None:
+def write_reconstruction(
+    path: Path | str,
+    decoded: Decoded,
+    point_map: PointMap,
+    motion: PredictedMotion | None = None,
+) -> None:
     """Write all maps of a reconstruction as a netCDF-4 file, each as a variable (row, col)."""
-    write_arrays(path, reconstruction_arrays(decoded, point_map))
+    write_arrays(path, reconstruction_arrays(decoded, point_map, motion))
 
 
 def write_decoded(path: Path | str, decoded: Decoded) -> None:
@@ -315,11 +332,14 @@ def write_decoded(path: Path | str, decoded: Decoded) -> None:
     write_arrays(path, _labelled(maps, {"frame": "projector: integer = centre of a pixel"}))
 
 
-def reconstruction_arrays(decoded: Decoded, point_map: PointMap) -> LabelledArrays:
+def reconstruction_arrays(
+    decoded: Decoded, point_map: PointMap, motion: PredictedMotion | None = None
+) -> LabelledArrays:
     """Return all maps of a reconstruction, (row, col) of the camera, with units and long names."""
     frame = "world: z = 0 is the undeformed coated face, z up; row 0 at the top"
     pose = point_map.T_world_from_cam.ravel()
-    return _labelled(_variables(decoded, point_map), {"frame": frame, POSE: pose})
+    maps = _variables(decoded, point_map) | ({} if motion is None else motion.maps())
+    return _labelled(maps, {"frame": frame, POSE: pose})
 
 
 def _labelled(maps: Maps, attributes: dict[str, Any]) -> LabelledArrays:
@@ -424,7 +444,8 @@ def _from_variables(maps: Maps) -> Reconstruction:
         for before in ("", "sigma_")
     )
     point_map = PointMap(points, sigma, reason, maps[POSE])
-    return Reconstruction(Decoded(column, row, decoded_reason, axes), point_map)
+    decoded = Decoded(column, row, decoded_reason, axes)
+    return Reconstruction(decoded, point_map, PredictedMotion.from_maps(maps))
 
 
 def _long_name(name: str) -> str:

@@ -14,6 +14,11 @@ step, and in further steps with the levels divided by the estimate before. Secon
 of the fringes, of one ratio to B in all pixels (a projector that is not linear), are estimated with
 e_n, because they would bias e_n if the phases in the image are not uniformly distributed.
 
+Motion also causes residuals. From those of a phase that changes by the same rate in all pixels the
+equations give a certain e_n, which with four steps explains them completely. An estimate that
+differs little from a multiple of this e_n is motion, and is not applied. Light that drifts has
+other e_n: with four steps, the direction of E_1 differs by a quarter of a turn.
+
 The pixels are a regular sample, divided into tiles of the image. Variances are those of the
 jackknife: each tile is omitted in turn. They include deviations from the model that differ between
 the tiles, in addition to noise.
@@ -61,6 +66,8 @@ OUTLIER_SIGMAS = 4.0
 DARK_STEPS = 5
 # Share of the mean diagonal that is added to the diagonal: the equations are never singular.
 RIDGE = 1e-9
+# Largest deviation from the estimate that motion would cause, relative to this estimate.
+MOTION_WITHIN = 0.2
 # Least residual of a harmonic of amplitude 1 that is more than rounding.
 LEAST_REST = 1e-9
 
@@ -76,6 +83,7 @@ class _Model(NamedTuple):
     basis: FloatArray  # (step, 3), from the first three features to levels
     unexplained: FloatArray  # (step, step), from levels to the residuals of their fit
     others: FloatArray  # (unknown, step, feature), residuals by one unit of all unknowns but e_n
+    moved: FloatArray  # (step, feature), residuals by a phase rate of 1 rad per frame
     waves: ComplexArray  # (2, step), exp(i t_n) and exp(2 i t_n)
 
 
@@ -87,6 +95,7 @@ class _Solution(NamedTuple):
     variances: FloatArray  # (2,), of E_1 and E_2
     ripple_rad: float  # RMS over the phases, at the mean of (A / B)^2
     sigma_rad: float  # standard uncertainty of ripple_rad
+    is_motion: bool  # whether a phase rate explains the estimate
 
 
 class _SetLight(NamedTuple):
@@ -204,7 +213,10 @@ def _model(shifts: FloatArray) -> _Model:
         others[unknown, :, parts] = np.stack([cosine, -sine], axis=1)
         others[unknown + 1, :, parts] = np.stack([sine, cosine], axis=1)
     waves = np.exp(1j * np.outer([1.0, 2.0], turns))
-    return _Model(basis, unexplained, others, waves)
+    moved = np.zeros(others.shape[1:])
+    times = np.arange(steps)[:, None] - 0.5 * (steps - 1)
+    moved[:, 1:3] = unexplained @ (-times * np.stack([np.sin(turns), np.cos(turns)], axis=1))
+    return _Model(basis, unexplained, others, moved, waves)
 
 
 def _sampled(
@@ -243,7 +255,7 @@ def _light_of(sample: SampledSet, model: _Model, black_dn: float | None) -> _Set
     first = _solve(sample, misfit, model)
     if first is None or np.abs(first.error).max() > LARGEST_GAIN:
         return None
-    if first.ripple_rad < max(LEAST_RIPPLE_RAD, LEAST_SIGMAS * first.sigma_rad):
+    if first.ripple_rad < max(LEAST_RIPPLE_RAD, LEAST_SIGMAS * first.sigma_rad) or first.is_motion:
         return None
     relative, solution = 1.0 + first.error, first
     most_dn = max(0.5 * (least_dn + clipped_dn) if black_dn is None else black_dn, least_dn)
@@ -307,7 +319,24 @@ def _solve(sample: SampledSet, misfit: FloatArray, model: _Model) -> _Solution |
     shares = 2.0 / steps**2 * np.array([contrast2, 0.25])
     ripple_rad = math.sqrt(shares @ np.square(np.abs(model.waves @ error)))
     sigma_rad = math.sqrt(shares @ variances)
-    return _Solution(error - error.mean(), dark_share, variances, ripple_rad, sigma_rad)
+    by_motion = np.linalg.solve(whole, _side_of_motion(sums, model))[:steps]
+    weighted = np.sqrt(shares)[:, None] * (model.waves @ np.stack([error, by_motion], axis=1))
+    is_motion = _is_multiple(weighted[:, 0], weighted[:, 1])
+    return _Solution(error - error.mean(), dark_share, variances, ripple_rad, sigma_rad, is_motion)
+
+
+def _side_of_motion(sums: TileSums, model: _Model) -> FloatArray:
+    """Return the right side (unknown,) by residuals of a phase rate of 1 rad per frame."""
+    moved = np.einsum("tfg,ng->nf", sums.pairs, model.moved)
+    of_light = np.einsum("ni,ni->n", model.basis, moved[:, :3])
+    return np.concatenate([of_light, np.einsum("jnf,nf->j", model.others, moved)])
+
+
+def _is_multiple(estimate: ComplexArray, expected: ComplexArray) -> bool:
+    """Return whether an estimate is nearly a real multiple of the expected one."""
+    rate = float(np.vdot(expected, estimate).real) / max(np.vdot(expected, expected).real, 1e-300)
+    rest = np.linalg.norm(estimate - rate * expected)
+    return bool(rest <= MOTION_WITHIN * np.linalg.norm(rate * expected))
 
 
 def _equations(sums: TileSums, model: _Model) -> tuple[FloatArray, FloatArray]:

@@ -3,6 +3,8 @@
 | module | content |
 |---|---|
 | phase_rate | phase error of a sequence by motion; phase rate of each pixel from its frames |
+| neighbourhood | phase rate of each pixel from the frames of its neighbours too |
+| prediction | error of each point by motion, from a stated motion or from the frames |
 | positions | positions of a stage, table [stage] of capture.toml |
 | stage | frames of a specimen that a stage moves, corrected by its positions |
 

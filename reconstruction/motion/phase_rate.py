@@ -8,7 +8,9 @@ with weights a_n is then
     P = sum a_n exp(i e m_n),   Q = sum a_n exp(-i e m_n - 2 i t_n)
 
 and the phase error is arg(P + Q exp(-2 i phi)). Its mean over phi is arg P, its amplitude is
-arcsin |Q / P|: a ripple with two periods per fringe. For N equal steps
+arcsin |Q / P|: a ripple with two periods per fringe. If the levels change from frame to frame, A by
+a B and B by b B, P and Q contain the factors (1 + b m_n), and exp(-i phi) 2 a sum a_n m_n
+exp(-i t_n) is added: a ripple with one period per fringe. For N equal steps
 
     |Q / P| = sin(e / 2) / sin(2 pi / N + e / 2)
 
@@ -33,7 +35,7 @@ from reconstruction.reduction.binomial import binomial_weights
 from reconstruction.rig.sensor import SensorNoise
 
 TURN = 2.0 * np.pi
-_ITERATIONS, _LARGEST_CHANGE, _RIDGE = 4, 0.3, 1e-10
+_ITERATIONS, LARGEST_CHANGE, _RIDGE = 4, 0.3, 1e-10
 # Largest standard deviation of a rate, rad per frame, for a noise of 1 DN.
 _LARGEST_SHARE = 1.0
 
@@ -101,7 +103,13 @@ def predicted_motion_error(
 
 
 def phase_error(
-    phase_rad: Any, rate_rad: Any, steps: PhaseSteps, acceleration_rad: Any = 0.0
+    phase_rad: Any,
+    rate_rad: Any,
+    steps: PhaseSteps,
+    acceleration_rad: Any = 0.0,
+    *,
+    mean_change: Any = 0.0,
+    modulation_change: Any = 0.0,
 ) -> FloatArray:
     """Return the error, rad, of the phase of the N-step fit, measured minus true phase.
 
@@ -109,21 +117,33 @@ def phase_error(
     ----------
     phase_rad : true phase in the middle of the set; a number or an array
     rate_rad, steps, acceleration_rad : as in `predicted_motion_error`
+    mean_change, modulation_change : change of A and of B from frame to frame, divided by B: another
+        part of a shaded surface comes into the pixel
     """
-    direct, mirrored = _responses(rate_rad, steps, acceleration_rad)
-    turned = np.exp(-2j * np.asarray(phase_rad, np.float64))
-    return np.asarray(np.angle(direct + mirrored * turned), np.float64)
+    direct, mirrored = _responses(rate_rad, steps, acceleration_rad, modulation_change)
+    constant = 2.0 * np.asarray(mean_change, np.float64) * _response_to_mean(steps)
+    turned = np.exp(-1j * np.asarray(phase_rad, np.float64))
+    phasor = direct + mirrored * turned**2 + constant * turned
+    return np.asarray(np.angle(phasor), np.float64)
 
 
-def _responses(rate_rad: Any, steps: PhaseSteps, acceleration_rad: Any) -> tuple[Any, Any]:
+def _responses(
+    rate_rad: Any, steps: PhaseSteps, acceleration_rad: Any, modulation_change: Any = 0.0
+) -> tuple[Any, Any]:
     """Return P and Q of the module's docstring, complex, with the shape of the rates."""
     rate, acceleration = (np.asarray(value, np.float64) for value in (rate_rad, acceleration_rad))
     direct, mirrored = 0.0j, 0.0j
     for time, shift, weight in zip(steps.times, *steps, strict=True):
         moved = rate * time + 0.5 * acceleration * time**2
-        direct = direct + weight * np.exp(1j * moved)
-        mirrored = mirrored + weight * np.exp(-1j * moved - 2j * shift)
+        level = weight * (1.0 + time * np.asarray(modulation_change, np.float64))
+        direct = direct + level * np.exp(1j * moved)
+        mirrored = mirrored + level * np.exp(-1j * moved - 2j * shift)
     return direct, mirrored
+
+
+def _response_to_mean(steps: PhaseSteps) -> complex:
+    """Return the phasor of a mean level that increases by 1 per frame."""
+    return complex(np.sum(steps.weights * steps.times * np.exp(-1j * steps.shifts_rad)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,18 +219,41 @@ def fit_moving(frames: FloatArray, steps: PhaseSteps) -> MovingFit:
     """
     rate_rad = np.zeros(frames.shape[1])
     for _ in range(_ITERATIONS):
-        angles = steps.shifts_rad[:, None] + rate_rad * steps.times[:, None]
-        fitted = fit_fringes(frames, angles)
-        x = fitted.phase_rad + angles
-        slopes = -fitted.modulation_dn * steps.times[:, None] * np.sin(x)
-        columns = np.stack([np.ones(x.shape), np.cos(angles), -np.sin(angles), slopes], axis=-1)
-        normal = np.einsum("spi,spj->pij", columns, columns)
-        side = np.einsum("spi,sp->pi", columns, frames - fitted.levels_dn(angles))
-        # Scaled to a diagonal of 1; the ridge keeps pixels without information solvable.
-        size = np.sqrt(np.maximum(np.einsum("pii->pi", normal), 1e-300))
-        scaled = normal / (size[:, :, None] * size[:, None, :]) + _RIDGE * np.eye(4)
-        inverse = np.linalg.inv(scaled)
-        change = np.einsum("pi,pi->p", inverse[:, 3], side / size) / size[:, 3]
-        rate_rad = rate_rad + np.clip(change, -_LARGEST_CHANGE, _LARGEST_CHANGE)
-        sigma_share = np.sqrt(inverse[:, 3, 3]) / size[:, 3]
-    return MovingFit(fitted.phase_rad, rate_rad, sigma_share)
+        step = fit_at_rate(frames, steps, rate_rad)
+        rate_rad = rate_rad + np.clip(step.change_rad, -LARGEST_CHANGE, LARGEST_CHANGE)
+    return MovingFit(step.phase_rad, rate_rad, step.sigma_share)
+
+
+class RateStep(NamedTuple):
+    """One Gauss-Newton step of the phase rate; every field is (pixel,) float.
+
+    phase_rad : phase in the middle of the set, fitted at the rate before the step
+    change_rad : change of the rate, rad per frame
+    sigma_share : standard deviation of the rate, rad, for a noise of 1 DN
+    """
+
+    phase_rad: FloatArray
+    change_rad: FloatArray
+    sigma_share: FloatArray
+
+
+def fit_at_rate(frames: FloatArray, steps: PhaseSteps, rate_rad: FloatArray) -> RateStep:
+    """Fit A, B and phi at given rates (pixel,), and return the step to better rates.
+
+    Parameters
+    ----------
+    frames : (step, pixel) DN
+    """
+    angles = steps.shifts_rad[:, None] + rate_rad * steps.times[:, None]
+    fitted = fit_fringes(frames, angles)
+    x = fitted.phase_rad + angles
+    slopes = -fitted.modulation_dn * steps.times[:, None] * np.sin(x)
+    columns = np.stack([np.ones(x.shape), np.cos(angles), -np.sin(angles), slopes], axis=-1)
+    normal = np.einsum("spi,spj->pij", columns, columns)
+    side = np.einsum("spi,sp->pi", columns, frames - fitted.levels_dn(angles))
+    # Scaled to a diagonal of 1; the ridge keeps pixels without information solvable.
+    size = np.sqrt(np.maximum(np.einsum("pii->pi", normal), 1e-300))
+    scaled = normal / (size[:, :, None] * size[:, None, :]) + _RIDGE * np.eye(4)
+    inverse = np.linalg.inv(scaled)
+    change_rad = np.einsum("pi,pi->p", inverse[:, 3], side / size) / size[:, 3]
+    return RateStep(fitted.phase_rad, change_rad, np.sqrt(inverse[:, 3, 3]) / size[:, 3])

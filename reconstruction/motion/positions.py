@@ -21,16 +21,20 @@ class StageMotion:
     surface_z_mm : world z of the nominal surface at the reference position
     reference_frame : frame at whose position the surface is reconstructed; None: the mean position
         during the phase frames
+    reference_mm : x, y, z of the stage at which the surface is reconstructed, in place of
+        `reference_frame`, in the frame of `positions_mm`
 
     Raises
     ------
-    InputError : neither or both of positions and velocity are given, or a value is out of range
+    InputError : neither or both of positions and velocity are given, `reference_mm` is given with
+        one of the others or without positions, or a value is out of range
     """
 
     positions_mm: tuple[tuple[float, ...], ...] = ()
     velocity_mm_per_frame: tuple[float, ...] = ()
     surface_z_mm: float = 0.0
     reference_frame: int | None = None
+    reference_mm: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         if bool(self.positions_mm) == bool(self.velocity_mm_per_frame):
@@ -38,13 +42,19 @@ class StageMotion:
         rows = tuple(self.positions_mm) or (self.velocity_mm_per_frame,)
         name = "stage positions_mm" if self.positions_mm else "stage velocity_mm_per_frame"
         for row in rows:
-            if not isinstance(row, (tuple, list)) or len(row) != 3:
-                raise InputError(f"{name} has the entry {row!r}; give x, y and z in mm")
-            for value in row:
-                require_number(name, value, -1e4, 1e4)
+            _check_place(name, row)
         object.__setattr__(self, "positions_mm", tuple(map(tuple, self.positions_mm)))
         object.__setattr__(self, "velocity_mm_per_frame", tuple(self.velocity_mm_per_frame))
         require_number("stage surface_z_mm", self.surface_z_mm, -1e4, 1e4)
+        if not self.reference_mm:
+            return
+        _check_place("stage reference_mm", self.reference_mm)
+        object.__setattr__(self, "reference_mm", tuple(self.reference_mm))
+        if self.reference_frame is not None or not self.positions_mm:
+            raise InputError(
+                "stage reference_mm: allowed with positions_mm and without reference_frame; leave"
+                " one of them out"
+            )
 
     def displacements_mm(self, patterns: PatternSet) -> FloatArray:
         """Return the position of each frame minus the reference position, (frame, xyz) mm.
@@ -63,6 +73,8 @@ class StageMotion:
                 f"stage positions_mm has {len(positions)} positions; the sequence has {count}"
                 " frames, give one position for each"
             )
+        if self.reference_mm:
+            return np.asarray(positions - np.array(self.reference_mm))
         if self.reference_frame is None:
             shown = [n for n, frame in enumerate(patterns.frames) if frame.kind == "phase"]
             return np.asarray(positions - positions[shown or slice(None)].mean(axis=0))
@@ -71,3 +83,10 @@ class StageMotion:
                 f"stage reference_frame is {self.reference_frame}; allowed are 0 to {count - 1}"
             )
         return np.asarray(positions - positions[self.reference_frame])
+
+
+def _check_place(name: str, place: object) -> None:
+    if not isinstance(place, (tuple, list)) or len(place) != 3:
+        raise InputError(f"{name} has the entry {place!r}; give x, y and z in mm")
+    for value in place:
+        require_number(name, value, -1e4, 1e4)

@@ -125,6 +125,12 @@ class Decode(Model):
         description="mask pixels whose phase frames deviate more from a fringe at rest (motion), in"
         " standard deviations of their levels; needs 4 steps or more; absent: none",
     )
+    motion_error: bool = Field(
+        default=False,
+        exclude_if=lambda predicted: not predicted,
+        description="predict the error of each point by motion from the residuals of the phase "
+        "frames, in place of the motion that the experiment states; needs 4 steps or more",
+    )
     reference_pixels: tuple[tuple[float, ...], ...] = Field(
         default=(),
         exclude_if=lambda pixels: not pixels,

@@ -67,6 +67,18 @@ class Motion(Model):
         "scene moves",
     )
 
+    encoder: bool = Field(
+        default=False,
+        exclude_if=lambda encoder: not encoder,
+        description="the capture contains the positions of the stage, and the frames are corrected"
+        " by them; of a bare specimen that does not turn",
+    )
+    encoder_surface_z_mm: Annotated[float, Field(ge=-1e3, le=1e3)] = Field(
+        default=0.0,
+        exclude_if=lambda z_mm: z_mm == 0.0,
+        description="world z of the nominal surface for this correction",
+    )
+
     @property
     def is_stated(self) -> bool:
         """Whether any velocity, rotation or vibration differs from 0."""

@@ -136,12 +136,25 @@ def check_motion(experiment: Experiment) -> None:
             " stock Mitsuba renders scenes at rest (motion.time_s)"
         )
     start_s, _ = frame_times_s(experiment)
+    if motion.encoder:
+        _check_encoder(experiment)
     if not experiment.method.presses:
         _check_matt(bodies(experiment.specimen, 0.0))
         return
     for time_s in (start_s[0], -start_s[0]):
         experiment_at(experiment, float(time_s))
     _check_moving_press(experiment)
+
+
+def _check_encoder(experiment: Experiment) -> None:
+    motion = experiment.motion
+    turns = bool(motion.twist_deg_s or motion.roll_deg_s)
+    single = experiment.patterns.stepping == "single"
+    if turns or single or experiment.method.presses or experiment.layers:
+        raise InputError(
+            "motion.encoder: found true, allowed for a bare specimen in air that does not turn, and"
+            " patterns.stepping other than 'single'; set it to false"
+        )
 
 
 def _check_moving_press(experiment: Experiment) -> None:

@@ -60,6 +60,12 @@ def frame_times_s(experiment: Experiment) -> FrameTimes:
     return FrameTimes(1e-3 * (start_ms - middle_ms), np.full(len(start_ms), 1e-3 * exposure_ms))
 
 
+def mean_times_s(experiment: Experiment) -> FloatArray:
+    """Return the middle of the exposure of every frame (frame,), s, in the middle row."""
+    times = frame_times_s(experiment)
+    return np.asarray(times.start_s + times.duration_s / 2.0 + 5e-4 * _rolling_ms(experiment))
+
+
 def row_delay_s(experiment: Experiment) -> float:
     """Return the time from the exposure of one row of the (binned) image to that of the next."""
     return 1e-6 * experiment.timing.line_time_us * experiment.camera.binning

@@ -59,7 +59,7 @@ def reconstruct_capture(
         figures = reconstruction_metrics(result, decode.use if len(axes) == 2 else axes[0])
         figures |= continuity_metrics(result.decoded, capture.patterns)
         figures |= light_metrics(result.decoded)
-        maps = folder / "reconstruction.nc", result.decoded, result.point_map
+        maps = folder / "reconstruction.nc", result.decoded, result.point_map, result.motion
         intensity = Intensity(result.decoded.intensity_dn, result.point_map.valid)
         digests: list[str] = []
         run_side_by_side(
@@ -137,6 +137,7 @@ def options_of(decode: Decode) -> ReconstructOptions:
         ),
         use=decode.use,
         through_layers=decode.through_layers,
+        motion_error=decode.motion_error,
     )
 
 

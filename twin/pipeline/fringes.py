@@ -15,7 +15,7 @@ from trimesh import Trimesh
 
 from reconstruction.capture.folder import Capture
 from reconstruction.errors import InputError, require_instance
-from reconstruction.pipeline import Reconstruction, reconstruct
+from reconstruction.pipeline import Reconstruction
 from twin.camera import NoiseFunction, expose
 from twin.camera.noise_function import name_of
 from twin.config import digest, require_experiment
@@ -28,14 +28,14 @@ from twin.optics.rig import true_calibration
 from twin.optics.session import renderer_session
 from twin.optics.stack import RadianceStack
 from twin.output import versions
-from twin.pipeline.captures import options_of
 from twin.pipeline.lit_frames import Progress, lit, rendered
 from twin.pipeline.memory import CachedResult, Memory
+from twin.pipeline.motion_error import reconstruct_moving, stage_of
 from twin.pipeline.press import PressedFace, press
 from twin.pipeline.progress import Stopwatch
 from twin.results.figures import Metrics
 from twin.results.layout import layout_warnings
-from twin.results.motion import motion_warnings
+from twin.results.motion import motion_warnings, predicted_motion_figures
 from twin.results.parts import taken_figures
 from twin.results.record import Fringes, Measurement, Recording
 from twin.results.score import metrics, order_warnings, score
@@ -96,7 +96,7 @@ def measure_fringes(
                 "reconstruction",
                 experiment,
                 capture.token,
-                lambda watched: reconstruct(capture.value.capture, options_of(watched.decode)),
+                lambda watched: reconstruct_moving(watched, capture.value.capture),
             ).value
         with run.clock.stage("score"):
             face = None if pressed is None else pressed.pressed
@@ -127,6 +127,7 @@ def evaluate(
     """
     scored = score(experiment, reconstruction, recording.truth)
     figures = taken_figures(experiment, pressed, recording) | metrics(scored)
+    figures |= predicted_motion_figures(experiment, reconstruction, recording.truth)
     figures["warnings"] += noise_warnings(experiment, noise)
     figures["warnings"] += decoding_warnings(experiment)
     figures["warnings"] += layout_warnings(experiment)
@@ -273,6 +274,7 @@ def expose_capture(
         sensor=exposed.sensor,
         calibration=true_calibration(experiment),
         bit_depth=experiment.camera.bit_depth,
+        stage=stage_of(experiment),
     )
     return Recording(radiance, capture, exposed.exposure_ms)
 

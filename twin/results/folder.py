@@ -144,7 +144,9 @@ def write_kept(folder: Path, done: Measurement, keep: tuple[str, ...]) -> None:
             maps = images.reconstruction
             run_side_by_side(
                 [
-                    lambda: write_reconstruction(folder / MAPS_FILE, maps.decoded, maps.point_map),
+                    lambda: write_reconstruction(
+                        folder / MAPS_FILE, maps.decoded, maps.point_map, maps.motion
+                    ),
                     lambda: _write_points(folder, done, maps),
                 ]
             )

@@ -2,10 +2,14 @@
 
 import numpy as np
 
+from reconstruction.arrays import at_pixels
+from reconstruction.evaluate.fit import median, rms
+from reconstruction.pipeline import Reconstruction
 from twin.config.models import Experiment
 from twin.optics.frame_times import frame_times_s
-from twin.optics.stack import MotionAccuracy, RadianceStack
+from twin.optics.stack import MotionAccuracy, RadianceStack, Truth
 from twin.results.figures import Metric
+from twin.results.score import figure_of, wanted_pixels
 
 MOTION_FIGURES = {
     "motion_moments": "moments",
@@ -17,12 +21,47 @@ MOTION_FIGURES = {
 }
 """Field of `MotionAccuracy` of every figure of a moving scene."""
 
+_CLEAR_SIGMAS = 2.0
+
 
 def motion_figures(radiance: RadianceStack) -> dict[str, Metric]:
     """Return how the frames of a moving scene were computed, and their error; else nothing."""
     if radiance.motion is None:
         return {}
     return {name: getattr(radiance.motion, field) for name, field in MOTION_FIGURES.items()}
+
+
+def predicted_motion_figures(
+    experiment: Experiment, reconstruction: Reconstruction, truth: Truth
+) -> dict[str, Metric]:
+    """Return the predicted errors of z by motion, um, over the target points; nothing without.
+
+    `motion_predicted_over_actual` is the median of predicted over actual error, over the points
+    whose error against the truth of time 0 exceeds `_CLEAR_SIGMAS` of its noise. It is None if
+    these are less than half of the points: noise exceeds the motion.
+    """
+    motion, points = reconstruction.motion, reconstruction.point_map
+    target = points.valid & wanted_pixels(experiment, truth)
+    if motion is None:
+        return {}
+    error_um, lag_um, sigma_um = (
+        1e3 * at_pixels(image, target).astype(np.float64)
+        for image in (motion.error_z_mm, motion.lag_z_mm, points.sigma_z_mm)
+    )
+    measured_mm, true_mm = (
+        at_pixels(images, target)[:, 2]
+        for images in (points.points_world_mm, truth.points_world_mm)
+    )
+    actual_um = 1e3 * np.abs(measured_mm.astype(np.float64) - true_mm)
+    clear = actual_um > _CLEAR_SIGMAS * sigma_um
+    if clear.mean() < 0.5:
+        clear[:] = False
+    ratios = np.abs(error_um + lag_um)[clear] / actual_um[clear]
+    return {
+        "motion_error_rms_um": figure_of(error_um, rms),
+        "motion_lag_rms_um": figure_of(lag_um, rms),
+        "motion_predicted_over_actual": figure_of(ratios, median),
+    }
 
 
 def motion_warnings(experiment: Experiment, accuracy: MotionAccuracy | None) -> list[str]:
@@ -38,8 +77,14 @@ def motion_warnings(experiment: Experiment, accuracy: MotionAccuracy | None) -> 
     return [
         f"the specimen moves by {moved_um:.3g} um{turn} during the sequence of {2e3 * half_s:.4g} "
         f"ms, and the projector coordinate of a pixel by {accuracy.moved_px:.3g} px (median); the "
-        "decoder assumes a specimen at rest, and the truth is that of the sequence's middle"
+        f"{_decoder(experiment)}, and the truth is that of the sequence's middle"
     ]
+
+
+def _decoder(experiment: Experiment) -> str:
+    if experiment.motion.encoder:
+        return "frames are corrected by the positions of the stage"
+    return "decoder assumes a specimen at rest"
 
 
 def _displaced(experiment: Experiment) -> list[str]:
