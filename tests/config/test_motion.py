@@ -107,3 +107,30 @@ def test_an_exposure_has_to_fit_in_its_frame(keys, message):
 def test_a_line_time_belongs_to_a_rolling_readout():
     with pytest.raises(ConfigError, match="line_time_us: found 0 with readout = 'rolling'"):
         moving(timing__readout="rolling")
+
+
+RELAXING = {"elastomer.relaxation": {"shares": [0.2], "times_s": [1.0]}}
+
+
+def test_a_press_of_a_relaxing_elastomer_lasts_its_travel_over_its_rate():
+    """Travel 0.75 mm at 0.5 mm/s: 1.5 s after the first contact; 0.2 s later 1.7 s."""
+    experiment = load_experiment("examples/slab_ball", RELAXING | {"motion.z_mm_s": 0.5})
+    assert experiment_at(experiment, 0.0).press.ramp_s == pytest.approx(1.5)
+    later = experiment_at(experiment, 0.2).press
+    assert (later.depth_mm, later.ramp_s) == pytest.approx((0.85, 1.7))
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ({"motion.x_mm_s": 0.1}, "motion: found a slide, turn, vibration or retraction"),
+        ({"motion.z_mm_s": -0.1}, "allowed a press of constant rate"),
+        ({"motion.z_mm_s": 0.1, "motion.vibration.amplitude_um": 1.0}, "remove the other motions"),
+        ({"motion.z_mm_s": 0.1, "press.hold_s": 2.0}, "press.hold_s: found 2 s with motion.z_mm_s"),
+        ({"motion.z_mm_s": 0.1, "press.ramp_s": 2.0}, "press.ramp_s: found 2 s with motion.z_mm_s"),
+    ],
+)
+def test_a_relaxing_elastomer_is_pressed_at_a_constant_rate_only(keys, message):
+    experiment = load_experiment("examples/slab_ball", RELAXING | keys)
+    with pytest.raises(InputError, match=message):
+        experiment_at(experiment, 0.0)

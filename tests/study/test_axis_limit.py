@@ -6,8 +6,9 @@ from pydantic import ValidationError
 from reconstruction.errors import InputError
 from tests.study.synthetic import Fake
 from twin.cli import run
+from twin.config import vary
 from twin.report.study import write_study
-from twin.report.study_limits import limit_sentences
+from twin.report.study_limits import limit_sections, limit_sentences, limit_verdicts
 from twin.study.axis_limit import axis_limits
 from twin.study.checks import check_figures
 from twin.study.measuring import NOMINAL_CONDITIONS, CaseResult
@@ -100,11 +101,12 @@ def test_page_and_command_state_the_limits(limits_of, tmp_path, capsys):
     assert "Build this: rate 0.4 mm/s, period 10 px" in printed
 
 
-def test_a_study_without_the_key_keeps_its_page(limits_of, tmp_path):
+def test_a_study_without_the_key_keeps_its_page(limits_of):
     table = limits_of(RATE, PERIOD, limit_axis=None, objectives=({"metric": "z_rmse_um"},))
     assert "limit_axis" not in table.record.study.model_dump()
-    assert axis_limits(table) == []
-    assert "Up to which" not in write_study(tmp_path / "out").read_text()
+    assert not axis_limits(table)
+    assert not limit_verdicts(table)
+    assert not [*limit_sections(table)]
 
 
 @pytest.mark.parametrize(
@@ -123,3 +125,11 @@ def test_the_axis_needs_a_condition(study_of, base):
     record = StudyRecord(study_of(RATE, limit_axis="rate_mm_s"), base)
     with pytest.raises(InputError, match="study without a condition, allowed with one"):
         check_figures(record, record.cases().run)
+
+
+def test_figures_of_motion_exist_if_a_case_moves(study_of, base):
+    """The base is at rest, and the second case moves."""
+    still = vary(base, {"camera.exposure_ms": 10.0})
+    rates = {"path": "motion.z_mm_s", "values": [0.0, 0.1]}
+    record = StudyRecord(study_of(rates, metrics=("moved_px",)), still)
+    check_figures(record, record.cases().run)

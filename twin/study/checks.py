@@ -59,7 +59,7 @@ def _check_conditions(record: StudyRecord, cases: Iterable[Case]) -> None:
 def _known(base: Experiment, cases: Iterable[Case]) -> set[str]:
     """Return the names of the figures of all cases, and of derived figures.
 
-    Of the cases with equal method, specimen, measurands and score only one is evaluated.
+    Of the cases with equal method, specimen, motion, measurands and score only one is evaluated.
     """
     names, kinds = set(DERIVED), set[str]()
     for experiment in (base, *(case.experiment for case in cases)):
@@ -72,4 +72,5 @@ def _known(base: Experiment, cases: Iterable[Case]) -> set[str]:
 
 def _kind_of(experiment: Experiment) -> str:
     of_object = {"modality", "specimen", "measurand", "score"}
-    return experiment.model_dump_json(include=of_object)
+    moves = " moves" if experiment.motion.moves else ""
+    return experiment.model_dump_json(include=of_object) + moves
