@@ -49,6 +49,15 @@ def experiment_at(experiment: Experiment, time_s: float) -> Experiment:
     return experiment.model_copy(update=changes)
 
 
+def elastic_at(experiment: Experiment, time_s: float) -> Experiment:
+    """Return `experiment_at` without relaxation, for the shape of a press at one time.
+
+    At a given travel only the force of an elastomer relaxes, not the shape of its faces.
+    """
+    elastomer = experiment.elastomer.model_copy(update={"relaxation": None})
+    return experiment_at(experiment.model_copy(update={"elastomer": elastomer}), time_s)
+
+
 def _travel_mm(depth_mm: float | None, risen_mm: float, time_s: float) -> float:
     if depth_mm is None:
         raise InputError(

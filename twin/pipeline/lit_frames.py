@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from reconstruction.errors import InputError
 from twin.config import digest
 from twin.config.digest import content_digest
-from twin.config.instant import experiment_at
+from twin.config.instant import elastic_at
 from twin.config.models import Experiment
 from twin.mechanics.relief import MATERIAL_MM, FaceGrid, face_grid
 from twin.optics.checks import check_direct_engine, check_motion
@@ -161,12 +161,8 @@ def _lit_in_motion(
     with renderer_session():
         from twin.pipeline import moving
 
-    # At a given travel the face does not relax; only its force, which the frames do not need, does.
-    elastomer = experiment.elastomer.model_copy(update={"relaxation": None})
-    elastic = experiment.model_copy(update={"elastomer": elastomer})
-
     def face_at(time_s: float) -> FaceGrid:
-        return face_grid(press(experiment_at(elastic, time_s), Memory()).pressed)
+        return face_grid(press(elastic_at(experiment, time_s), Memory()).pressed)
 
     # A press at another time reads further fields of the experiment, which identify the frames.
     inputs = view.token if geometry.value.face is None else (view.token, digest(experiment))
