@@ -112,7 +112,7 @@ def draw_film(
     """
     frames = []
     with _styled(_STYLE | {"figure.dpi": _FILM_DPI}, *size_in) as figure:
-        canvas = FigureCanvasAgg(figure)
+        canvas: Any = figure.canvas  # its methods have no types
         for frame in range(count):
             figure.clear()
             draw(figure, frame)

@@ -74,8 +74,8 @@ def film_sections(measured: Measurement) -> list[Section]:
     caption = (
         f"Left: {len(film.times_s)} of {len(measured.fringes.capture.stack)} recorded frames, "
         "from 0 (black) to the largest value (white). Right: section of the true relief at the "
-        f"time of the frame (blue, {how}) and at time 0, to which the truth belongs (gray); below, the change "
-        "since time 0. "
+        f"time of the frame (blue, {how}) and at time 0, to which the truth belongs (gray); below, "
+        "the change since time 0. "
         f"Shown {_slowed(film.times_s):.0f} times slower than recorded."
     )
     figure = Figure(

@@ -9,9 +9,10 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.ticker import NullFormatter, StrMethodFormatter
 
-from twin.report.canvas import FIT, INK, axes_at, drawing, plain_log, plain_spines
-from twin.report.page import Block, Figure, Note, Section, Verdict
+from twin.report.canvas import FIT, INK, axes_at, drawing, plain_spines
+from twin.report.page import Block, Figure, Grade, Note, Section, Verdict
 from twin.report.study_words import amount, axis_headings, titles_of, value_text
 from twin.report.table import Column, Table
 from twin.results.rows import is_number
@@ -19,6 +20,7 @@ from twin.study.axis_limit import AxisLimit, axis_limits
 from twin.study.table import Row, StudyTable, design_of
 
 _MOST_PANELS, _MOST_CURVES = 4, 10
+_LEAST_RATIO = 3.0  # of the largest to the smallest value of a logarithmic axis
 _MARKERS = "osD^vPX<>*"
 
 
@@ -42,7 +44,7 @@ def limit_verdicts(table: StudyTable) -> list[Verdict]:
     label, unit = axis_headings(table)[axis]
     best = limits[0]
     headline = f"{_settings(table, best)}: {_limit_text(best, unit)}"
-    grade = "poor" if best.met is None else "good"
+    grade: Grade = "poor" if best.met is None else "good"
     reasons = tuple(limit_sentences(table))
     return [Verdict(f"Up to which {label} are all conditions met?", headline, grade, reasons)]
 
@@ -95,16 +97,16 @@ def _table(table: StudyTable, axis: str, limits: Sequence[AxisLimit]) -> Table:
     columns = (
         *(Column(name, headings[name][0], unit=headings[name][1]) for name in others),
         Column("limit", f"largest {label}", unit=unit, kind="number"),
-        Column("met", "met at", unit=unit, kind="number"),
-        Column("missed", "missed at", unit=unit, kind="number"),
+        Column("met_at", "met at", unit=unit, kind="number"),
+        Column("missed_at", "missed at", unit=unit, kind="number"),
         Column("condition", "missed condition", kind="reason"),
     )
     rows = tuple(
         {name: value_text(limit.settings[name]) for name in others}
         | {
             "limit": value_text(limit.value and float(f"{limit.value:.3g}")),
-            "met": value_text(limit.met),
-            "missed": value_text(limit.missed),
+            "met_at": value_text(limit.met),
+            "missed_at": value_text(limit.missed),
             "condition": _reason(limit).strip(" ()"),
         }
         for limit in limits
@@ -134,7 +136,7 @@ def _figure(table: StudyTable, axis: str, figures: Sequence[str]) -> Figure:
 
 
 def _draw(path: Path, table: StudyTable, axis: str, figures: Sequence[str]) -> None:
-    """Draw the limited figures over the axis as PNG, logarithmic where all values are positive."""
+    """Draw the limited figures over the axis as PNG, logarithmic over a wide range."""
     width, height, titles = 3.1, 2.6, titles_of(table, figures)
     curves = _curves(table, axis)
     lines = -(-len(curves) // 2)
@@ -179,9 +181,10 @@ def _draw_panel(place: Axes, curves: dict[str, list[Row]], axis: str, name: str)
         (drawn_x, place.set_xscale, place.xaxis),
         (drawn_y, place.set_yscale, place.yaxis),
     ):
-        if values and min(values) > 0.0:
+        if values and min(values) > 0.0 and max(values) > _LEAST_RATIO * min(values):
             scale("log")
-            plain_log(ruler)
+            ruler.set_major_formatter(StrMethodFormatter("{x:g}"))
+            ruler.set_minor_formatter(NullFormatter())
     plain_spines(place)
 
 
