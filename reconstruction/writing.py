@@ -132,6 +132,24 @@ def write_png(path: Path | str, pixels: "NDArray[Any]") -> None:
     write_bytes(path, imageio.imwrite("<bytes>", pixels, plugin="pillow", extension=".png"))
 
 
+def write_film(path: Path | str, frames: "NDArray[Any]", frame_ms: float) -> None:
+    """Write images (frame, row, col, rgb), uint8, as an animated PNG file that repeats.
+
+    Viewers without animation show the first frame.
+
+    Raises
+    ------
+    OSError : as `write_bytes`
+    """
+    import imageio.v3 as imageio
+
+    film = imageio.imwrite(
+        "<bytes>", frames, plugin="pillow", extension=".png", is_batch=True, duration=frame_ms,
+        loop=0,
+    )  # fmt: skip
+    write_bytes(path, film)
+
+
 def write_npz(path: Path | str, arrays: Mapping[str, "NDArray[Any]"]) -> None:
     """Write arrays as a compressed .npz file; equal arrays give equal bytes.
 

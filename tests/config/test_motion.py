@@ -7,7 +7,7 @@ from reconstruction.errors import InputError
 from twin.config import ConfigError, digest, load_experiment, vary
 from twin.config.instant import experiment_at
 from twin.config.motion import Motion, Vibration
-from twin.optics.frame_times import frame_times_s, row_delay_s
+from twin.optics.frame_times import frame_times_s, row_delay_s, sequence_ends_s
 
 BASE = "examples/gauges"
 RATES = {"camera.exposure_ms": 5.0, "camera.frame_rate_hz": 100.0}
@@ -80,6 +80,27 @@ def test_binary_frames_have_their_own_rate():
     np.testing.assert_allclose(np.sort(periods_s)[:-steps], 0.01)
 
 
+@pytest.mark.parametrize("rolling", [{}, {"timing.readout": "rolling", "timing.line_time_us": 6.0}])
+def test_time_0_is_the_middle_of_the_phase_frames(rolling):
+    """18 phase frames of 10 ms, then 10 others: in the middle row 85 ms and half an exposure."""
+    keys = RATES | rolling | {"timing.origin": "phase", "patterns.axes": ["column"]}
+    experiment = load_experiment(BASE, keys | {"camera.binning": 2})
+    start_s, duration_s = frame_times_s(experiment)
+    middle_row_s = (experiment.camera.height_px // 2 - 1) / 2 * row_delay_s(experiment)
+    assert start_s[0] + middle_row_s == pytest.approx(-(17 * 0.0102 + 0.005) / 2, rel=0.05)
+    phase_s = start_s[: experiment.patterns.steps] + middle_row_s
+    assert phase_s[0] == pytest.approx(-(phase_s[-1] + duration_s[-1]))
+    first_s, last_s = sequence_ends_s(experiment)
+    assert first_s == start_s[0]
+    assert last_s == pytest.approx(start_s[-1] + 0.005 + 2 * middle_row_s)
+
+
+def test_without_phase_frames_time_0_is_the_middle_of_all_frames():
+    words = {"patterns.steps": 0, "patterns.code": "gray", "patterns.period_px": 4.0}
+    with pytest.raises(InputError, match=r"timing\.origin: found 'phase' and patterns\.steps = 0"):
+        frame_times_s(load_experiment(BASE, RATES | words | {"timing.origin": "phase"}))
+
+
 def test_the_middle_row_of_a_rolling_shutter_is_exposed_symmetrically():
     experiment = moving(timing__readout="rolling", timing__line_time_us=6.0, camera__binning=2)
     (start_s, duration_s), delay_s = frame_times_s(experiment), row_delay_s(experiment)
@@ -107,3 +128,30 @@ def test_an_exposure_has_to_fit_in_its_frame(keys, message):
 def test_a_line_time_belongs_to_a_rolling_readout():
     with pytest.raises(ConfigError, match="line_time_us: found 0 with readout = 'rolling'"):
         moving(timing__readout="rolling")
+
+
+RELAXING = {"elastomer.relaxation": {"shares": [0.2], "times_s": [1.0]}}
+
+
+def test_a_press_of_a_relaxing_elastomer_lasts_its_travel_over_its_rate():
+    """Travel 0.75 mm at 0.5 mm/s: 1.5 s after the first contact; 0.2 s later 1.7 s."""
+    experiment = load_experiment("examples/slab_ball", RELAXING | {"motion.z_mm_s": 0.5})
+    assert experiment_at(experiment, 0.0).press.ramp_s == pytest.approx(1.5)
+    later = experiment_at(experiment, 0.2).press
+    assert (later.depth_mm, later.ramp_s) == pytest.approx((0.85, 1.7))
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ({"motion.x_mm_s": 0.1}, "motion: found a slide, turn, vibration or retraction"),
+        ({"motion.z_mm_s": -0.1}, "allowed a press of constant rate"),
+        ({"motion.z_mm_s": 0.1, "motion.vibration.amplitude_um": 1.0}, "remove the other motions"),
+        ({"motion.z_mm_s": 0.1, "press.hold_s": 2.0}, "press.hold_s: found 2 s with motion.z_mm_s"),
+        ({"motion.z_mm_s": 0.1, "press.ramp_s": 2.0}, "press.ramp_s: found 2 s with motion.z_mm_s"),
+    ],
+)
+def test_a_relaxing_elastomer_is_pressed_at_a_constant_rate_only(keys, message):
+    experiment = load_experiment("examples/slab_ball", RELAXING | keys)
+    with pytest.raises(InputError, match=message):
+        experiment_at(experiment, 0.0)

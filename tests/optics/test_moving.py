@@ -110,6 +110,23 @@ def test_the_decoded_coordinate_of_a_moving_plane_is_that_of_the_phases_of_its_f
     assert measured.metrics["motion_moments"] == 3
 
 
+@pytest.mark.parametrize("origin", ["sequence", "phase"])
+def test_the_truth_is_that_of_the_stated_time_0(mi, origin):
+    """A plane rises by v: phases measured dt before time 0 are lower by v dt; dt is 0 for "phase".
+
+    The sequence is 8 phase frames, then Gray frames, white and black.
+    """
+    import twin
+
+    rate_mm_s, keys = 0.5, {"camera.noise": False, "decode.filter_taps": 0, "patterns.steps": 8}
+    keys |= {"decode.frame_gains": False, "timing.origin": origin}
+    experiment = moving(PLANE, motion__z_mm_s=rate_mm_s, **keys)
+    times, bias_um = frame_times_s(experiment), twin.measure(experiment).figures["z_bias_um"]
+    middle_s = (times.start_s[:8] + times.duration_s[:8] / 2.0).mean()
+    assert abs(middle_s) > 0.03 or origin == "phase"
+    assert bias_um == pytest.approx(1e3 * rate_mm_s * middle_s, abs=0.4)
+
+
 @pytest.mark.parametrize("frame", [0, 4])
 def test_frames_equal_the_mean_of_scenes_at_rest(mi, frame):
     """A disc on its stage slides, rises, twists and rolls: meshes displaced, rig at rest."""

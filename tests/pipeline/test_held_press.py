@@ -9,7 +9,7 @@ from twin.config import load_experiment, vary
 from twin.config.sensor_layer import sensor_layer_of
 from twin.pipeline import Memory
 from twin.pipeline.compensation import compensate_points
-from twin.pipeline.press import press, press_specimen, waiting_time
+from twin.pipeline.press import force_waiting_time, press, press_specimen, waiting_time
 
 GEL = {
     "press.solver_pitch_mm": 0.2,
@@ -70,3 +70,36 @@ def test_waiting_time_of_an_experiment(to_depth):
     assert waiting_time(to_depth, 1.0) == 0.0
     with pytest.raises(InputError, match="wait-um: found 0, allowed more than 0"):
         waiting_time(to_depth, 0.0)
+
+
+def test_the_force_of_a_moving_press_is_that_of_its_duration(to_depth):
+    """Setup: 0.5 mm at rates of 1 m/s, 0.25 mm/s and 1 nm/s; shares 0.2 and 0.1 of the modulus.
+
+    Expected: the elastic force F0 at once, that of a ramp of 2 s, and 0.7 F0 after a long time.
+    """
+    elastic = press_specimen(to_depth).force_n
+    ramp = press_specimen(vary(to_depth, {"press.ramp_s": 2.0})).force_n
+    forces = [
+        press_specimen(vary(to_depth, {"motion.z_mm_s": rate})).force_n
+        for rate in (1e3, 0.25, 1e-6)
+    ]
+    assert forces == pytest.approx([elastic, ramp, 0.7 * elastic], rel=1e-3)
+
+
+def test_waiting_time_of_the_force_in_closed_form(to_depth):
+    """One term g: the force is 1 % above its end when g exp(-t / tau) = 0.01 (1 - g).
+
+    After a ramp, g exp(-t / tau) (1 - exp(-ramp / tau)) tau / ramp if the force is proportional to
+    time. The contact of a ball grows with the travel, so that its later steps count more.
+    """
+    one = {"elastomer.relaxation": {"shares": [0.2], "times_s": [3.0]}}
+    expected_s = 3.0 * np.log(0.2 / (0.01 * 0.8))
+    assert force_waiting_time(vary(to_depth, one), 1.0) == pytest.approx(expected_s, rel=1e-3)
+    ramp = vary(to_depth, one | {"press.ramp_s": 2.0})
+    linear_s = expected_s + 3.0 * np.log(1.5 * (1 - np.exp(-2.0 / 3.0)))
+    assert linear_s < force_waiting_time(ramp, 1.0) < expected_s
+    by_force = {"press.control": "force", "press.depth_mm": "absent", "press.force_n": 1.0}
+    assert force_waiting_time(vary(to_depth, one | by_force), 1.0) == 0.0
+    assert force_waiting_time(vary(to_depth, one), 26.0) == 0.0
+    with pytest.raises(InputError, match="wait-percent: found 0, allowed more than 0"):
+        force_waiting_time(to_depth, 0.0)

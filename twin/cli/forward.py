@@ -43,6 +43,7 @@ def press(
     solid: bool = False,
     by: list[str] | None = None,
     wait_um: float | None = None,
+    wait_percent: float | None = None,
     report: Report = True,
 ) -> None:
     """Press the specimen into the elastomer: pressure, heights, force, coated face as a mesh.
@@ -60,6 +61,9 @@ def press(
     wait_um
         Change of the coat's height, um: also compute the time after the press from which the coat
         of a relaxing elastomer changes by less.
+    wait_percent
+        Change of the force, percent of its final value: also compute the time after the press from
+        which the force of a relaxing elastomer, pressed to a depth, changes by less.
     """
     from twin.mechanics import write_in_plane
     from twin.mechanics.models import model_of
@@ -90,6 +94,10 @@ def press(
             from twin.pipeline.press import waiting_time
 
             figures["waiting_time_s"] = waiting_time(loaded, wait_um)
+        if wait_percent is not None:
+            from twin.pipeline.press import force_waiting_time
+
+            figures["force_waiting_time_s"] = force_waiting_time(loaded, wait_percent)
         write_result(folder, "press", loaded, figures)
     print_metrics(figures)
     say(f"wrote {out}")

@@ -184,6 +184,7 @@ def best(
         METRIC to minimise, or +METRIC to maximise; repeat the option for a Pareto front. Default:
         the objectives of the study.
     """
+    from twin.report.study_limits import limit_sentences
     from twin.report.study_words import verdict_sentence
     from twin.report.words import in_ascii
     from twin.study.feasibility import feasibility_in_words
@@ -201,12 +202,15 @@ def best(
         sys.stderr.write(f"twin: {feasibility_in_words(table.rows)}\n")
     if not some:
         sys.stderr.write("twin: no case is feasible; the nearest to the limits first:\n")
-    names = dict.fromkeys([goal.metric for goal in chosen] + list(table.metrics))
+    goals = [goal.metric for goal in chosen if goal.metric not in table.axes]
+    names = dict.fromkeys(goals + list(table.metrics))
     more = ("case",) if some else ("case", "reason")
     columns = (*table.axes, *names, *more)
     cells = ([cell(row.get(n), 5) for n in columns] for row in rows)
     headings = [_heading(table, name) for name in columns]
     print_table(headings, cells, width=None if sys.stdout.isatty() else 200)
+    for sentence in limit_sentences(table):
+        say(in_ascii(sentence))
     say(in_ascii(verdict_sentence(table, verdict_of(table, chosen))))
     return 0 if some else FAILURE
 

@@ -106,6 +106,12 @@ class Axis(Model):
         """Whether the axis is a range without count, of which any value may be drawn."""
         return self.low is not None and self.count is None
 
+    @property
+    def is_numeric(self) -> bool:
+        """Whether the axis has two or more levels, all of them numbers."""
+        labels = [level.label for level in self.levels()]
+        return len(labels) > 1 and all(type(label) in (int, float) for label in labels)
+
     def levels(self) -> tuple[Level, ...]:
         """Return the levels of the axis; empty for a range without count."""
         if self.choices is not None:

@@ -178,6 +178,12 @@ class Study(Model):
     objectives: tuple[Objective, ...] = Field(
         default=(), description="figures of merit of a study without a search"
     )
+    limit_axis: str | None = Field(
+        default=None,
+        exclude_if=lambda axis: axis is None,
+        description="heading of an axis with numbers; the page states its largest value at which "
+        "all conditions are met, for each setting of the other axes",
+    )
     optimise: Optimise | None = None
     # Excluded if None, so that digests of older records do not change.
     gradient: GradientSearch | None = Field(default=None, exclude_if=lambda plan: plan is None)
@@ -204,11 +210,24 @@ class Study(Model):
             raise ValueError(
                 "objectives: not allowed with a search; set them in [optimise] or [gradient]"
             )
+        self._check_limit_axis()
         if self.sampling.method == "grid":
             open_axes = [axis.title for axis in self.axis if axis.is_continuous]
             if open_axes:
                 raise ValueError(f"axis {', '.join(open_axes)}: a grid needs count or values")
         return self
+
+    def _check_limit_axis(self) -> None:
+        if self.limit_axis is None:
+            return
+        if self.sampling.method != "grid":
+            raise ValueError("limit_axis: needs sampling.method = 'grid'; remove one of both")
+        ordered = [axis.title for axis in self.axis if axis.is_numeric]
+        if self.limit_axis not in ordered:
+            raise ValueError(
+                f"limit_axis: found {self.limit_axis!r}, allowed the heading of an axis with two or"
+                f" more numbers: {', '.join(ordered) or 'there is none'}"
+            )
 
     def _check_gradient(self) -> None:
         if self.repeats > 1 or len(self.modalities) > 1:
@@ -227,6 +246,7 @@ class Study(Model):
             "repeats": self.repeats > 1,
             "optimise": self.optimise is not None,
             "gradient": self.gradient is not None,
+            "limit_axis": self.limit_axis is not None,
         }
         for name, is_set in conflicts.items():
             if is_set:
@@ -238,9 +258,14 @@ class Study(Model):
 
     @property
     def goals(self) -> tuple[Objective, ...]:
-        """Objectives of the search, or of the study if it has no search."""
+        """Objectives of the search, or of the study if it has no search.
+
+        A study with `limit_axis` and without objectives has the largest value of this axis.
+        """
         if self.gradient:
             return (self.gradient.objective,)
+        if self.limit_axis is not None and not self.objectives:
+            return (Objective(metric=self.limit_axis, goal="maximise"),)
         return self.optimise.objectives if self.optimise else self.objectives
 
 

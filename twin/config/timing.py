@@ -37,6 +37,13 @@ class Timing(Model):
         float, Field(ge=0, le=1e4), Because("10 ms per row is slower than any image sensor")
     ] = Field(default=0.0, description="readout = 'rolling': time of one row of the sensor")
 
+    origin: Literal["sequence", "phase"] = Field(
+        default="sequence",
+        exclude_if=lambda origin: origin == "sequence",
+        description="time 0, of the pose and of the truth: middle of all frames, or of the phase "
+        "frames, where a decoded phase belongs",
+    )
+
     @model_validator(mode="after")
     def _rolling_has_a_line_time(self) -> "Timing":
         if (self.readout == "rolling") != (self.line_time_us > 0.0):

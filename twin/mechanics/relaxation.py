@@ -20,6 +20,7 @@ eigenvalues x_j and eigenvectors z_j of the symmetric matrix D - v v^T therefore
     c(t) = 1 + sum_j (v z_j)^2 / x_j (1 - exp(-x_j t)).
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Literal, Protocol
@@ -237,11 +238,45 @@ def waiting_time_s(model: ElastomerModel, case: PressInput, change_um: float) ->
         face = model.press(_elastic(case, held)).face_z_mm
         return 1e3 * float(np.abs(final - face).max()) - change_um
 
-    if excess_um(0.0) <= 0:
+    return _settled_s(excess_um, creep)
+
+
+def force_waiting_time_s(model: ElastomerModel, case: PressInput, change_percent: float) -> float:
+    """Return the time after the press from which the force changes by less than a share of it.
+
+    Parameters
+    ----------
+    model, case : the press; its `hold_s` has no effect
+    change_percent : largest change of the force between the measurement and any later time, in
+        percent of the force after a long time
+
+    Returns
+    -------
+    Time, s: 0 with a given force, and if the force changes by less from the end of the press
+    """
+    relaxation = case.elastomer.relaxation
+    if relaxation is None or case.load.control == "force":
         return 0.0
-    # After 40 of the longest retardation times the rest of the creep is below rounding errors.
-    longest = np.log1p(40 / float(creep.rates_per_s.min()))
-    return float(np.expm1(brentq(excess_um, 0.0, longest, rtol=1e-3)))
+    check_relaxation(model, replace(case, load=case.load.model_copy(update={"hold_s": 1.0})))
+    share, forces = relaxation_function(relaxation), _ramp_forces(model, case)
+
+    def excess(log_hold: float) -> float:
+        held = case.load.model_copy(update={"hold_s": float(np.expm1(log_hold))})
+        return relaxed_share(relaxation, held, forces) / share.final - 1 - change_percent / 100
+
+    return _settled_s(excess, share)
+
+
+def _settled_s(excess: Callable[[float], float], series: ExponentialSeries) -> float:
+    """Return the time, s, at which an excess becomes 0, as a function of log(1 + time / s).
+
+    0 if it is not positive at once. Times are within 0.1 %.
+    """
+    if excess(0.0) <= 0:
+        return 0.0
+    # After 40 of the longest times of the series the rest of it is below rounding errors.
+    longest = np.log1p(40 / float(series.rates_per_s.min()))
+    return float(np.expm1(brentq(excess, 0.0, longest, rtol=1e-4)))
 
 
 def _ramp_forces(model: ElastomerModel, case: PressInput) -> FloatArray | None:

@@ -4,7 +4,7 @@ from reconstruction.errors import InputError
 from twin.config.instant import experiment_at
 from twin.config.layers import holding_layer
 from twin.config.models import Experiment
-from twin.optics.frame_times import frame_times_s
+from twin.optics.frame_times import sequence_ends_s
 from twin.optics.light import pattern_set
 from twin.specimens import Body, bodies
 
@@ -135,14 +135,14 @@ def check_motion(experiment: Experiment) -> None:
             f"render.engine: found '{experiment.render.engine}', allowed 'one_trace' with a motion;"
             " stock Mitsuba renders scenes at rest (motion.time_s)"
         )
-    start_s, _ = frame_times_s(experiment)
+    ends_s = sequence_ends_s(experiment)
     if motion.encoder:
         _check_encoder(experiment)
     if not experiment.method.presses:
         _check_matt(bodies(experiment.specimen, 0.0))
         return
-    for time_s in (start_s[0], -start_s[0]):
-        experiment_at(experiment, float(time_s))
+    for time_s in ends_s:
+        experiment_at(experiment, time_s)
     _check_moving_press(experiment)
 
 

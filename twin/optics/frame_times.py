@@ -24,7 +24,7 @@ _ROUNDING = 1.0 + 1e-9
 
 
 class FrameTimes(NamedTuple):
-    """Exposures of all frames in the first row of the image; time 0 is the sequence's middle.
+    """Exposures of all frames in the first row of the image; time 0 is that of `timing.origin`.
 
     Attributes
     ----------
@@ -40,7 +40,8 @@ def frame_times_s(experiment: Experiment) -> FrameTimes:
     """Return start and duration of the exposure of every frame, in the first row of the image.
 
     Row r of the image starts `r * row_delay_s(experiment)` later. Time 0 is the middle between the
-    start of the first exposure and the end of the last one, in the middle row.
+    start of the first exposure and the end of the last one, in the middle row; with `timing.origin`
+    "phase" of the phase frames only.
 
     Raises
     ------
@@ -56,7 +57,8 @@ def frame_times_s(experiment: Experiment) -> FrameTimes:
     for is_binary in np.unique(binary):
         _check_period(experiment, exposure_ms, binary=bool(is_binary))
     start_ms = np.concatenate([[0.0], np.cumsum(periods_ms)[:-1]])
-    middle_ms = (start_ms[-1] + exposure_ms + _rolling_ms(experiment)) / 2.0
+    first_ms, last_ms = _ends_of_origin_ms(experiment, start_ms)
+    middle_ms = (first_ms + last_ms + exposure_ms + _rolling_ms(experiment)) / 2.0
     return FrameTimes(1e-3 * (start_ms - middle_ms), np.full(len(start_ms), 1e-3 * exposure_ms))
 
 
@@ -64,6 +66,35 @@ def mean_times_s(experiment: Experiment) -> FloatArray:
     """Return the middle of the exposure of every frame (frame,), s, in the middle row."""
     times = frame_times_s(experiment)
     return np.asarray(times.start_s + times.duration_s / 2.0 + 5e-4 * _rolling_ms(experiment))
+
+
+def _ends_of_origin_ms(experiment: Experiment, start_ms: FloatArray) -> tuple[float, float]:
+    """Return the starts of the first and the last exposure between which time 0 is the middle."""
+    if experiment.timing.origin == "sequence":
+        return float(start_ms[0]), float(start_ms[-1])
+    frames = pattern_set(experiment.projector, experiment.patterns).frames
+    phase_ms = start_ms[[frame.kind == "phase" for frame in frames]]
+    if not phase_ms.size:
+        raise InputError(
+            "timing.origin: found 'phase' and patterns.steps = 0, allowed 'sequence' without phase"
+            " frames"
+        )
+    return float(phase_ms[0]), float(phase_ms[-1])
+
+
+def sequence_ends_s(experiment: Experiment) -> tuple[float, float]:
+    """Return the start of the first exposure and the end of the last one, in all rows.
+
+    Raises
+    ------
+    InputError : as `frame_times_s`
+    """
+    times = frame_times_s(experiment)
+    start_s = float(times.start_s[0])
+    if experiment.timing.origin == "sequence":
+        return start_s, -start_s  # symmetric without rounding errors
+    rolling_s = 1e-3 * _rolling_ms(experiment)
+    return start_s, float(times.start_s[-1] + times.duration_s[-1]) + rolling_s
 
 
 def row_delay_s(experiment: Experiment) -> float:

@@ -90,7 +90,7 @@ class PixelTracer:
 
     def paths(self, lanes: Lanes, places: FloatArray) -> LanePaths:
         """Return the paths of lanes at relative times (time, pixel)."""
-        return self.scene.trace(lanes.rays(places * self.sequence.half_s))
+        return self.scene.trace(lanes.rays(self.sequence.time_s(places)))
 
     def traced(self, jobs: list[tuple[int, Lanes]], count: int) -> list[FloatArray]:
         """Return the radiance (pixel,) of pixels in frames, traced at `count` times of each."""
@@ -98,7 +98,7 @@ class PixelTracer:
         def traced_paths(chosen: list[tuple[int, Lanes]]) -> LanePaths:
             rays = [
                 lanes.rays(
-                    self.places(lanes, self.sequence.nodes(frame, count)) * self.sequence.half_s
+                    self.sequence.time_s(self.places(lanes, self.sequence.nodes(frame, count)))
                 )
                 for frame, lanes in chosen
             ]

@@ -65,7 +65,7 @@ class MovingSpecimen:
         grid = SubPixels.of_image(width, height, self.samples)
         images = [np.zeros((height, width), np.float32) for _ in light.sequence]
         for place in (-_GAUSS, _GAUSS):
-            rig = self.rig_at(place * sequence.half_s)
+            rig = self.rig_at(sequence.time_s(place))
             dark = [dr.zeros(mi.Float, width * height) for _ in images]
             traced = add_bounces(self.scene, rig, light, grid, bounces=bounces, frames=dark)
             for frame, values in zip(light.sequence, traced, strict=True):

@@ -187,7 +187,7 @@ class MovingStack:
             places = [round(float(place), 12) for place in moment_places(count)]
             for place in places:
                 if place not in traced:
-                    traced[place] = _means(self.scene.patches_at(place * self.sequence.half_s))
+                    traced[place] = _means(self.scene.patches_at(self.sequence.time_s(place)))
             moments = _Moments(*map(list, zip(*(traced[at] for at in places), strict=True)))
             near_edges = 2 * len(self.sequence.start) * self._nodes(moments) / INTERVALS
             if moments.curved_share() * (INTERVALS + near_edges) <= count - 1:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from reconstruction.errors import InputError
 from twin.config import digest
 from twin.config.digest import content_digest
-from twin.config.instant import experiment_at
+from twin.config.instant import elastic_at
 from twin.config.models import Experiment
 from twin.mechanics.relief import MATERIAL_MM, FaceGrid, face_grid
 from twin.optics.checks import check_direct_engine, check_motion
@@ -162,7 +162,7 @@ def _lit_in_motion(
         from twin.pipeline import moving
 
     def face_at(time_s: float) -> FaceGrid:
-        return face_grid(press(experiment_at(experiment, time_s), Memory()).pressed)
+        return face_grid(press(elastic_at(experiment, time_s), Memory()).pressed)
 
     # A press at another time reads further fields of the experiment, which identify the frames.
     inputs = view.token if geometry.value.face is None else (view.token, digest(experiment))

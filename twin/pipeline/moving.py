@@ -14,7 +14,7 @@ from twin.config.models import Experiment
 from twin.config.motion import Motion
 from twin.optics.connection import FrameLight
 from twin.optics.exposures import ExposureSequence
-from twin.optics.frame_times import frame_times_s, row_delay_s
+from twin.optics.frame_times import frame_times_s, row_delay_s, sequence_ends_s
 from twin.optics.light import LightTable
 from twin.optics.moving_face import MovingFace
 from twin.optics.moving_specimen import MovingSpecimen
@@ -36,7 +36,8 @@ def exposures_of(experiment: Experiment) -> ExposureSequence:
     ------
     InputError : the exposure is automatic, or does not fit in the period of its frame
     """
-    return ExposureSequence.of(frame_times_s(experiment), row_delay_s(experiment))
+    ends_s = sequence_ends_s(experiment)
+    return ExposureSequence.of(frame_times_s(experiment), ends_s, row_delay_s(experiment))
 
 
 @renderer_session()
@@ -60,7 +61,7 @@ def light_moving(
     if geometry.face is None:
         motion = Motion(**experiment.motion.model_dump())
         scene = MovingSpecimen(geometry.scene, view.rig, motion, experiment.render.samples)
-    tables = _tables(experiment, view, scene, sequence.half_s)
+    tables = _tables(experiment, view, scene, sequence)
     light, size_px = FrameLight(tables), (pinhole.width_px, pinhole.height_px)
     stack = MovingStack(scene, sequence, light, size_px, experiment.render.samples)
     rng = np.random.default_rng(seed_sequence(experiment, "motion"))
@@ -73,11 +74,14 @@ def light_moving(
 
 
 def _tables(
-    experiment: Experiment, view: trace.View, scene: MovingSpecimen | MovingFace, half_s: float
+    experiment: Experiment,
+    view: trace.View,
+    scene: MovingSpecimen | MovingFace,
+    sequence: ExposureSequence,
 ) -> dict[str, LightTable]:
     """Return the light tables for all axial distances of the sequence."""
     if experiment.projector.aperture_mm:
-        ranges_mm = [scene.axial_mm(place * half_s) for place in (-1.0, 0.0, 1.0)]
+        ranges_mm = [scene.axial_mm(sequence.time_s(place)) for place in (-1.0, 0.0, 1.0)]
         nearest_mm, farthest_mm = np.transpose(ranges_mm)
         view = replace(view, axial_mm=(float(nearest_mm.min()), float(farthest_mm.max())))
     return trace.tables_of(experiment, view)

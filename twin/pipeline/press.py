@@ -9,6 +9,7 @@ import numpy as np
 from reconstruction.arrays import FloatArray
 from reconstruction.errors import InputError
 from twin.config import require_experiment
+from twin.config.instant import experiment_at
 from twin.config.models import Experiment
 from twin.mechanics import (
     ContactTransfer,
@@ -22,7 +23,7 @@ from twin.mechanics import (
 )
 from twin.mechanics.choice import select_model, unit_press, with_modulus
 from twin.mechanics.models import PressInput, model_of
-from twin.mechanics.relaxation import waiting_time_s
+from twin.mechanics.relaxation import force_waiting_time_s, waiting_time_s
 from twin.pipeline.memory import Memory
 
 Progress = Callable[[float], None]
@@ -54,6 +55,8 @@ def press(experiment: Experiment, memory: Memory, progress: Progress | None = No
     The shape of a slab pressed to a depth is equal for all moduli and is cached as one stage.
     Otherwise the whole press is one stage. A further stage adds the texture of the coat.
 
+    A moving specimen is pressed as it is at time 0 of its motion.
+
     Parameters
     ----------
     progress : function that is called with the finished share, 0 to 1, of a thin sheet's load
@@ -63,6 +66,7 @@ def press(experiment: Experiment, memory: Memory, progress: Progress | None = No
     ------
     InputError : the press is invalid, or its solver does not converge
     """
+    experiment = experiment_at(experiment, 0.0)
     smooth, token = _smooth(experiment, memory, progress)
     made_from = token, smooth.pressed.young_modulus_kpa, smooth.pressed.initial_force_n
     return memory.recall(
@@ -101,6 +105,22 @@ def waiting_time(experiment: Experiment, change_um: float) -> float:
         raise InputError(f"wait-um: found {change_um:g}, allowed more than 0")
     case = _case(experiment)
     return waiting_time_s(select_model(case), case, change_um)
+
+
+def force_waiting_time(experiment: Experiment, change_percent: float) -> float:
+    """Return the time after the press, s, from which the force changes by less than a share of it.
+
+    0 if the elastomer does not relax, or if its force is prescribed.
+
+    Raises
+    ------
+    InputError : `change_percent` is not positive, or the press is invalid
+    """
+    require_experiment(experiment)
+    if not change_percent > 0:
+        raise InputError(f"wait-percent: found {change_percent:g}, allowed more than 0")
+    case = _case(experiment)
+    return force_waiting_time_s(select_model(case), case, change_percent)
 
 
 def _case(experiment: Experiment) -> PressInput:

@@ -19,6 +19,7 @@ from twin.report.camera_images import (
 )
 from twin.report.canvas import axes_at, drawing
 from twin.report.experiment import GOOD_SHARE, POOR_SHARE, glance, grade_of_share, result_in_words
+from twin.report.film import film_sections
 from twin.report.page import Block, Figure, JudgedTarget, Section, Verdict, judged
 from twin.report.pixel_panels import (
     REASON_COLOURS,
@@ -157,6 +158,7 @@ def sections(measured: Measurement) -> list[Section]:
         Section("glance", "Experiment", (glance(measured),)),
         Section("result", "Result", tuple(result)),
         recorded_section(measured),
+        *film_sections(measured),
     ]
 
 

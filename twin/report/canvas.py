@@ -6,7 +6,7 @@ files with equal bytes, because no date and no version is written into the files
 
 import io
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Literal
@@ -23,10 +23,10 @@ from numpy.typing import NDArray
 
 from reconstruction.arrays import BoolArray, FloatArray
 from reconstruction.cells import box_of
-from reconstruction.writing import write_bytes
+from reconstruction.writing import write_bytes, write_film
 from twin.files import naming_unwritable
 
-_SCREEN_DPI, _PRINT_DPI = 130, 200
+_SCREEN_DPI, _PRINT_DPI, _FILM_DPI = 130, 200, 100
 
 INK, FAINT, GRID = "#1d2733", "#6b7785", "#dfe4ea"
 MEASURED, TRUE_FACE, NOMINAL, FIT = "#1f6fb2", "#2b8a57", "#8a5a00", "#c2410c"
@@ -95,6 +95,31 @@ def drawing(path: Path, width_in: float, height_in: float) -> Iterator[Figure]:
     with _styled(_STYLE, width_in, height_in) as figure:
         yield figure
         _write(figure, path, _SCREEN_DPI)
+
+
+def draw_film(
+    path: Path,
+    size_in: tuple[float, float],
+    draw: Callable[[Figure, int], None],
+    count: int,
+    frame_ms: float,
+) -> None:
+    """Write an animated PNG atomically; `draw` fills an empty figure for each frame number.
+
+    Raises
+    ------
+    InputError : `path` cannot be written
+    """
+    frames = []
+    with _styled(_STYLE | {"figure.dpi": _FILM_DPI}, *size_in) as figure:
+        canvas: Any = figure.canvas  # its methods have no types
+        for frame in range(count):
+            figure.clear()
+            draw(figure, frame)
+            canvas.draw()
+            frames.append(np.array(canvas.buffer_rgba())[..., :3])
+    with naming_unwritable(path):
+        write_film(path, np.array(frames), frame_ms)
 
 
 @contextmanager

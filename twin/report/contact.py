@@ -8,6 +8,7 @@ from twin.mechanics.models import model_of
 from twin.report.bound import bound_section
 from twin.report.camera_images import recorded_section
 from twin.report.experiment import glance
+from twin.report.film import film_sections
 from twin.report.page import JudgedTarget, Section, TwoColumns, Verdict, judged, target
 from twin.report.press import judge_press, press_figure
 from twin.report.rig_view import rig_figure
@@ -227,6 +228,7 @@ def sections(measured: Measurement) -> list[Section]:
         ),
         Section("result", "Result", (*fit_tables(measured), *discussion(measured))),
         recorded_section(measured),
+        *film_sections(measured),
     ]
     if measured.score.against_truth.points:
         relief = (relief_figure(measured), height_map_figure(measured))

@@ -35,6 +35,7 @@ from twin.report.study_figures import (
     draw_main_effects,
     draw_parallel,
 )
+from twin.report.study_limits import limit_sections, limit_verdicts
 from twin.report.study_verdict import verdict_blocks, verdict_card
 from twin.report.study_words import headings_of, settings_text, titles_of, value_text
 from twin.report.table import Column, Table
@@ -165,12 +166,13 @@ def _page(shown: Shown) -> Page:
         title=study.name.replace("_", " "),
         lead=lead + (f" Feasible: {conditions}." if conditions else ""),
         sections=[
+            *limit_sections(shown.table),
             Section("best", "Best designs", tuple(_best(shown))),
             *(Section(f"of_{f.name}", f.title, (replace(f, title=""),)) for f in _figures(shown)),
             Section("cases", "All cases", tuple(_cases(shown))),
             Section("verdict", "Verdict", tuple(verdict_blocks(shown.table, shown.verdict))),
         ],
-        verdicts=[verdict_card(shown.table, shown.verdict)],
+        verdicts=[*limit_verdicts(shown.table), verdict_card(shown.table, shown.verdict)],
         warned="Warnings of the cases" if shown.table.remarks else "",
         warnings=remark_lines(shown.table),
         wide=True,

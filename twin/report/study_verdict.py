@@ -68,7 +68,8 @@ def _traded(table: StudyTable, verdict: StudyVerdict) -> list[str]:
     values = [float(row[objective]) for row in rows]
     effects = variance_shares(values, {axis: group_labels(rows, axis) for axis in verdict.axes})
     ranked = [effect.axis for effect in sorted(effects, key=lambda effect: -effect.value)]
-    return [goal.metric for goal in verdict.objectives[1:2]] + ranked[:2]
+    others = [axis for axis in ranked if axis != objective]
+    return [goal.metric for goal in verdict.objectives[1:2]] + others[:2]
 
 
 def _with_numbers(table: StudyTable, names: Sequence[str]) -> list[Row]:

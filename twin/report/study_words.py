@@ -130,9 +130,11 @@ def _next(table: StudyTable, verdict: StudyVerdict) -> list[str]:
     if verdict.next is None or verdict.row is None:
         return []
     row, other = verdict.row, verdict.next
-    axes = tuple(axis for axis in verdict.axes if row[axis] != other[axis])
-    value = amount(*_first(verdict.next_values))
-    return [f"the next has {value}, with {settings_text(table, other, axes)}"]
+    # An objective may be an axis itself: its value is stated once.
+    objective = verdict.objectives[0].metric
+    axes = tuple(a for a in verdict.axes if row[a] != other[a] and a != objective)
+    settings = f", with {settings_text(table, other, axes)}" if axes else ""
+    return [f"the next has {amount(*_first(verdict.next_values))}{settings}"]
 
 
 def _reserve(verdict: StudyVerdict) -> list[str]:

@@ -6,7 +6,7 @@ from reconstruction.arrays import at_pixels
 from reconstruction.evaluate.fit import median, rms
 from reconstruction.pipeline import Reconstruction
 from twin.config.models import Experiment
-from twin.optics.frame_times import frame_times_s
+from twin.optics.frame_times import sequence_ends_s
 from twin.optics.stack import MotionAccuracy, RadianceStack, Truth
 from twin.results.figures import Metric
 from twin.results.score import figure_of, wanted_pixels
@@ -20,6 +20,7 @@ MOTION_FIGURES = {
     "moved_px": "moved_px",
 }
 """Field of `MotionAccuracy` of every figure of a moving scene."""
+_ORIGINS = {"sequence": "the sequence", "phase": "the phase frames"}
 
 _CLEAR_SIGMAS = 2.0
 
@@ -68,16 +69,17 @@ def motion_warnings(experiment: Experiment, accuracy: MotionAccuracy | None) -> 
     """Return a warning that states the motion during the sequence; empty for a scene at rest."""
     if accuracy is None:
         return _displaced(experiment)
-    half_s = float(-frame_times_s(experiment).start_s[0])
+    start_s, end_s = sequence_ends_s(experiment)
     motion = experiment.motion
-    places_mm = np.array([motion.shift_mm(at) for at in np.linspace(-half_s, half_s, 2001)])
+    places_mm = np.array([motion.shift_mm(at) for at in np.linspace(start_s, end_s, 2001)])
     moved_um = 1e3 * float(np.linalg.norm(np.ptp(places_mm, axis=0)))
-    turned_deg = 2.0 * half_s * float(np.hypot(motion.twist_deg_s, motion.roll_deg_s))
+    turned_deg = (end_s - start_s) * float(np.hypot(motion.twist_deg_s, motion.roll_deg_s))
     turn = f" and turns by {turned_deg:.3g} degrees" if turned_deg else ""
     return [
-        f"the specimen moves by {moved_um:.3g} um{turn} during the sequence of {2e3 * half_s:.4g} "
-        f"ms, and the projector coordinate of a pixel by {accuracy.moved_px:.3g} px (median); the "
-        f"{_decoder(experiment)}, and the truth is that of the sequence's middle"
+        f"the specimen moves by {moved_um:.3g} um{turn} during the sequence of "
+        f"{1e3 * (end_s - start_s):.4g} ms, and the projector coordinate of a pixel by "
+        f"{accuracy.moved_px:.3g} px (median); the {_decoder(experiment)}, and the truth is that "
+        f"of the middle of {_ORIGINS[experiment.timing.origin]}"
     ]
 
 
