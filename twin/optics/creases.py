@@ -68,7 +68,5 @@ def _large_planes(mesh: "trimesh.Trimesh") -> list[IntArray]:
     largest = float(area.max())
     # Most of the 15 000 planes of a relief have too few facets: their area is not computed.
     return [
-        plane
-        for plane in mesh.facets
-        if len(plane) * largest > least and area[plane].sum() > least
+        plane for plane in mesh.facets if len(plane) * largest > least and area[plane].sum() > least
     ]
