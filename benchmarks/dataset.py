@@ -1,15 +1,17 @@
 """Data sets: samples per hour, share of writing, kills and resumption, number of workers.
 
 - direct projection and a thin sheet: samples per hour, one after another on this machine;
-- 300 scenes of 960 x 960 pixels with 53 frames: minutes (the published set of VIRTUS-FPP has 52
-  frames). With `--quick` 3 scenes are computed and the time is scaled to 300; `fpp_ml_scenes`
-  states the number;
-- the share of the time of this set that is not spent on computing samples: store and shards;
+- 300 scenes of 960 x 960 pixels with 53 frames, by the default number of workers: minutes (the
+  published set of VIRTUS-FPP has 52 frames). With `--quick` 8 scenes are computed and the time is
+  scaled to 300; `fpp_ml_scenes` states the number. `fpp_ml_processor_s` is the processor time of a
+  scene by one worker, which other programs of the machine change less;
+- the share of the time of such a set, by one worker, that is not spent on computing samples: store
+  and shards;
 - a small set is made in one go, by two workers, and by runs that are killed 10 times (2 with
   `--quick`) at random moments: the shards must have the same bytes;
 - Kolmogorov-Smirnov tests of 2000 drawn values of a uniform, a log-uniform and a normal quantity.
 
-The first sample, which compiles kernels, is not counted. Last line:
+The first samples, which compile kernels, are not counted. Last line:
 {"samples_per_hour_direct": ..., "samples_per_hour_sheet": ..., "images_per_s": ...,
 "write_share": ..., "resume_equal": true, "fpp_ml_bench_minutes": ..., ...}.
 """
@@ -34,7 +36,7 @@ from twin.dataset.make import draw_all, pack, take_samples
 from twin.dataset.taking import SampleMeasurer
 from twin.study.measuring import NOMINAL_CONDITIONS, CaseResult, Conditions
 from twin.study.trials import drawn_values
-from twin.study.workers import local_workers
+from twin.study.workers import default_count, lasting, local_workers
 
 HOLD = '["frames", "depth_mm", "normal_world", "label", "lit"]'
 RELIEF = """
@@ -101,12 +103,38 @@ def make(text: str, folder: Path, count: int) -> dict[str, float]:
     draws, work = draw_all(recipe, bases, count + 1), folder / "work"
     take_samples(recipe, draws[:1], work, local_workers(1))
     _computing_s, start = 0.0, time.perf_counter()
+    processor_s = time.process_time()
     take_samples(recipe, draws, work, local_workers(1), measurer=TimedMeasurer)
     packed = pack(recipe, bases, draws, work, folder / "set")
     total_s = time.perf_counter() - start
-    frames = sum(int(sample.described["figures"]["frames"]) for sample in packed.samples[1:])
     assert len(packed.samples) == count + 1, packed.failures
-    return {"total_s": total_s, "computing_s": _computing_s, "frames": frames, "samples": count}
+    return {
+        "total_s": total_s,
+        "computing_s": _computing_s,
+        "processor_s": time.process_time() - processor_s,
+        "samples": count,
+    }
+
+
+def make_by_workers(text: str, folder: Path, count: int) -> dict[str, float]:
+    """Make a data set by the default number of processes; return the times, s.
+
+    The first two samples of each process are not counted.
+    """
+    folder.mkdir()
+    (folder / "recipe.toml").write_text(text, encoding="utf-8")
+    recipe, bases = load_recipe(folder / "recipe.toml")
+    first, work = 2 * default_count(), folder / "work"
+    draws = draw_all(recipe, bases, count + first)
+    with lasting(local_workers(default_count())) as workers:
+        take_samples(recipe, draws[:first], work, workers)
+        start = time.perf_counter()
+        take_samples(recipe, draws, work, workers)
+        packed = pack(recipe, bases, draws, work, folder / "set")
+        total_s = time.perf_counter() - start
+    assert len(packed.samples) == count + first, packed.failures
+    frames = sum(int(sample.described["figures"]["frames"]) for sample in packed.samples[first:])
+    return {"total_s": total_s, "frames": frames, "samples": count}
 
 
 def command(recipe: Path, out: Path, count: int, workers: int) -> subprocess.Popen[bytes]:
@@ -194,10 +222,10 @@ def _p_of_input(recipe: Recipe, base: Experiment, draws: int) -> float:
 
 def main() -> int:
     """Run all parts and print one JSON line; return 1 if bytes differ or a test rejects."""
-    parser = quick_parser(__doc__, "3 large scenes, 2 kills")
-    parser.add_argument("--scenes", type=int, help="large scenes; default: 300, or 3")
+    parser = quick_parser(__doc__, "8 large scenes, 2 kills")
+    parser.add_argument("--scenes", type=int, help="large scenes; default: 300, or 8")
     options = parser.parse_args()
-    scenes = options.scenes or (3 if options.quick else ML_SCENES)
+    scenes = options.scenes or (8 if options.quick else ML_SCENES)
     with tempfile.TemporaryDirectory() as name:
         scratch = Path(name)
         few = 4 if options.quick else 40
@@ -208,15 +236,18 @@ def main() -> int:
             scratch / "sheet",
             1 if options.quick else 5,
         )
-        large = make(recipe_text("examples/gauges", ML_SIZE, RELIEF), scratch / "large", scenes)
+        ml_text = recipe_text("examples/gauges", ML_SIZE, RELIEF)
+        one = make(ml_text, scratch / "one_worker", 3 if options.quick else 20)
+        large = make_by_workers(ml_text, scratch / "large", scenes)
         figures |= {
             "samples_per_hour_direct": 3600 * direct["samples"] / direct["total_s"],
             "samples_per_hour_sheet": 3600 * sheet["samples"] / sheet["total_s"],
             "images_per_s": large["frames"] / large["total_s"],
             "frames_per_scene": large["frames"] / large["samples"],
-            "write_share": 1 - large["computing_s"] / large["total_s"],
+            "write_share": 1 - one["computing_s"] / one["total_s"],
             "fpp_ml_bench_minutes": large["total_s"] / 60 * ML_SCENES / scenes,
             "fpp_ml_scenes": scenes,
+            "fpp_ml_processor_s": one["processor_s"] / one["samples"],
         }
         figures |= killed_and_resumed(scratch, 2 if options.quick else 10, 4)
     print_figures(figures)

@@ -8,6 +8,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from reconstruction.evaluate.baselines import score_baseline
     from reconstruction.evaluate.fit import fit_sphere_algebraic
     from reconstruction.evaluate.plane import (
         ArealRoughness,
@@ -21,11 +22,7 @@ if TYPE_CHECKING:
         slope_change_width,
         step_height,
     )
-    from reconstruction.evaluate.predictions import (
-        PredictionScore,
-        score_baseline,
-        score_predictions,
-    )
+    from reconstruction.evaluate.predictions import PredictionScore, score_predictions
     from reconstruction.evaluate.robust import BallFit, CylinderFit, fit_ball, fit_cylinder
 
 __all__ = [
@@ -62,7 +59,7 @@ _MODULES = {
     "slope_change_width": "plane",
     "step_height": "plane",
     "PredictionScore": "predictions",
-    "score_baseline": "predictions",
+    "score_baseline": "baselines",
     "score_predictions": "predictions",
     "BallFit": "robust",
     "CylinderFit": "robust",

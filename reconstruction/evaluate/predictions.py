@@ -18,16 +18,14 @@ from reconstruction.arrays import BoolImage, FloatArray
 from reconstruction.errors import InputError, few
 from reconstruction.evaluate.samples import LabelledSample, arrays_of, npy, read_samples
 from reconstruction.reading import read_bytes
-from reconstruction.spatial_unwrapping import unwrap_spatially
 
 Array = NDArray[Any]
 MASKS = ("label", "lit")
 _MEASURED = 2  # label of the measured surface
 _DEPTH, _NORMAL = "depth_mm", "normal_world"
-_PHASES = {f"phase_{axis}_rad": axis for axis in ("column", "row")}
-SCORED = (_DEPTH, _NORMAL, *_PHASES)
+PHASES = {f"phase_{axis}_rad": axis for axis in ("column", "row")}
+SCORED = (_DEPTH, _NORMAL, *PHASES)
 """Quantities that can be scored, by their names in the data set."""
-_TURN = 2.0 * np.pi
 
 
 @dataclass
@@ -71,13 +69,13 @@ class ErrorSums:
         if name == _NORMAL:
             return known
         known[f"{stem}_bias_{unit}"] = self.error / count if count else None
-        if name in _PHASES:
+        if name in PHASES:
             known[f"{stem}_wrong_order_share"] = self.wrong_orders / count if count else None
         return known
 
 
 _LABELS = {_DEPTH: ("depth", "um"), _NORMAL: ("normal", "deg")} | {
-    name: (f"phase_{axis}", "rad") for name, axis in _PHASES.items()
+    name: (f"phase_{axis}", "rad") for name, axis in PHASES.items()
 }
 
 
@@ -191,7 +189,7 @@ def _angles_deg(given: FloatArray, truth: FloatArray, target: BoolImage) -> Floa
 _ERRORS: Mapping[str, Callable[[FloatArray, FloatArray, BoolImage], FloatArray]] = {
     _DEPTH: partial(_difference, scale=1e3),
     _NORMAL: _angles_deg,
-    **dict.fromkeys(_PHASES, _difference),
+    **dict.fromkeys(PHASES, _difference),
 }
 
 
@@ -220,91 +218,6 @@ def score_predictions(predictions: Path, dataset: Path, split: str = "test") -> 
         )
     result.unused = sum(map(len, files.values())) - used
     return result
-
-
-def score_baseline(name: str, dataset: Path, split: str = "test") -> PredictionScore:
-    """Score a classical method of `BASELINES` against a data set that contains its input.
-
-    Raises
-    ------
-    InputError : the method is not known, or the data set lacks its input or the truth
-    """
-    if name not in BASELINES:
-        raise InputError(f"--baseline: found '{name}', allowed: {', '.join(BASELINES)}")
-    held = arrays_of(dataset)
-    method = BASELINES[name]
-    scored = tuple(
-        quantity
-        for quantity, needed in method.inputs.items()
-        if quantity in held and {*needed} <= {*held}
-    )
-    if not scored:
-        choices = "; or ".join(
-            f"{quantity} with {', '.join(needed)}" for quantity, needed in method.inputs.items()
-        )
-        raise InputError(f"{dataset}: --baseline {name} needs {choices}; add them to sample.hold")
-    inputs = {array for quantity in scored for array in method.inputs[quantity]}
-    result = PredictionScore(scored)
-    for sample in read_samples(dataset, split, {*scored, *inputs, *MASKS}):
-        result.add(sample, {q: method.predict(sample, q) for q in scored})
-    return result
-
-
-@dataclass(frozen=True)
-class ClassicalMethod:
-    """A classical method that predicts quantities of a sample from others.
-
-    Attributes
-    ----------
-    inputs : names of the arrays that it needs, by the quantity that it predicts
-    predict : function (sample, quantity) that returns the prediction
-    """
-
-    inputs: Mapping[str, tuple[str, ...]]
-    predict: Callable[[LabelledSample, str], Array]
-
-
-def _decoded(sample: LabelledSample, quantity: str) -> Array:
-    """Return the result of the decoder of the twin; NaN at masked pixels."""
-    known = sample.arrays[f"decoded_{quantity}"].astype(np.float32)
-    return np.where(_over(sample.arrays["decoded_reason"] == 0, known), known, np.float32(np.nan))
-
-
-def _over(mask: BoolImage, values: Array) -> BoolImage:
-    return mask[..., None] if values.ndim > mask.ndim else mask
-
-
-def _unwrapped(sample: LabelledSample, quantity: str) -> Array:
-    """Unwrap the decoded phase of the single pixels by quality-guided spatial unwrapping.
-
-    The true order is given at one pixel of the largest island, that nearest to its middle. Other
-    islands have no prediction.
-    """
-    turns = sample.arrays[f"decoded_wrapped_{quantity}"].astype(np.float64) / _TURN
-    target = target_pixels(sample)
-    equal = np.full(turns.shape, 1e-3, np.float32)  # turns; the noise of the phase is not held
-    relative = unwrap_spatially(turns.astype(np.float32), equal, target)
-    island = relative.islands == 1
-    if not island.any():
-        return np.full(turns.shape, np.nan)
-    rows, cols = np.nonzero(island)
-    middle = np.argmin(np.hypot(rows - rows.mean(), cols - cols.mean()))
-    at = rows[middle], cols[middle]
-    true_turns = sample.arrays[quantity][at] / _TURN
-    first = np.rint(true_turns - turns[at] - relative.orders[at])
-    absolute = _TURN * (turns + relative.orders + first)
-    return np.where(island, absolute, np.nan)
-
-
-BASELINES: Mapping[str, ClassicalMethod] = {
-    "decoded": ClassicalMethod(
-        {name: (f"decoded_{name}", "decoded_reason") for name in SCORED}, _decoded
-    ),
-    "spatial_unwrapping": ClassicalMethod(
-        {name: (f"decoded_wrapped_{name}", "label") for name in _PHASES}, _unwrapped
-    ),
-}
-"""Classical methods by name, for comparison with predictions."""
 
 
 def _prediction_files(folder: Path) -> dict[str, dict[str, Path]]:

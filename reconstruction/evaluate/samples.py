@@ -8,7 +8,7 @@ import io
 import json
 import tarfile
 from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import groupby
 from pathlib import Path
 from tokenize import TokenError
@@ -21,6 +21,7 @@ from reconstruction.errors import InputError
 from reconstruction.reading import read_json
 
 SAMPLE_JSON, SCHEMA_JSON = "sample.json", "schema.json"
+CALIBRATION_JSON = "calibration.json"
 SPLITS = ("train", "validation", "test")
 """Parts of a data set; an object is in one of them only."""
 _NPY = ".npy"
@@ -35,11 +36,13 @@ class LabelledSample:
     key : name of the sample
     described : content of `sample.json`: scene, split, object, drawn values, figures
     arrays : the requested arrays that the sample contains, by name
+    calibration : content of `calibration.json`; empty if the sample has none
     """
 
     key: str
     described: Mapping[str, Any]
     arrays: Mapping[str, NDArray[Any]]
+    calibration: Mapping[str, Any] = field(default_factory=dict)
 
 
 def arrays_of(dataset: Path) -> list[str]:
@@ -84,7 +87,7 @@ def read_samples(dataset: Path, split: str, names: Collection[str]) -> Iterator[
 
 
 def _from_tar(shard: Path, names: Collection[str]) -> Iterator[LabelledSample]:
-    wanted = {f"{name}{_NPY}" for name in names} | {SAMPLE_JSON}
+    wanted = {f"{name}{_NPY}" for name in names} | {SAMPLE_JSON, CALIBRATION_JSON}
     with tarfile.open(shard, "r:") as tar:
         for key, members in groupby(tar, lambda member: member.name.partition(".")[0]):
             read = {}
@@ -94,8 +97,9 @@ def _from_tar(shard: Path, names: Collection[str]) -> Iterator[LabelledSample]:
                 if content is not None:
                     read[name] = content.read()
             described = json.loads(read.pop(SAMPLE_JSON))
+            calibration = json.loads(read.pop(CALIBRATION_JSON, b"{}"))
             arrays = {name.removesuffix(_NPY): npy(content) for name, content in read.items()}
-            yield LabelledSample(key, described, arrays)
+            yield LabelledSample(key, described, arrays, calibration)
 
 
 def npy(content: bytes) -> NDArray[Any]:
@@ -118,7 +122,9 @@ def _from_hdf5(shard: Path, names: Collection[str]) -> Iterator[LabelledSample]:
         for key in sorted(file):
             group = file[key]
             arrays = {name: group[name][()] for name in names if name in group}
-            yield LabelledSample(key, json.loads(group.attrs[SAMPLE_JSON]), arrays)
+            described = json.loads(group.attrs[SAMPLE_JSON])
+            calibration = json.loads(group.attrs.get(CALIBRATION_JSON, "{}"))
+            yield LabelledSample(key, described, arrays, calibration)
 
 
 def _from_parquet(shard: Path, names: Collection[str]) -> Iterator[LabelledSample]:
@@ -127,12 +133,15 @@ def _from_parquet(shard: Path, names: Collection[str]) -> Iterator[LabelledSampl
     except ModuleNotFoundError:
         raise InputError(f"{shard}: needs pyarrow, which is not installed") from None
     file = parquet.ParquetFile(shard)
-    columns = [name for name in names if name in file.schema_arrow.names]
-    for batch in file.iter_batches(1, columns=["key", SAMPLE_JSON, *columns]):
+    present = set(file.schema_arrow.names)
+    columns, rig = [name for name in names if name in present], {CALIBRATION_JSON} & present
+    for batch in file.iter_batches(1, columns=["key", SAMPLE_JSON, *rig, *columns]):
         row = {name: batch.column(name) for name in batch.schema.names}
         arrays = {name: _nested(row[name]) for name in columns if row[name].null_count == 0}
         described = json.loads(row[SAMPLE_JSON][0].as_py())
-        yield LabelledSample(row["key"][0].as_py(), described, arrays)
+        text = row[CALIBRATION_JSON][0].as_py() if rig else None  # None: a sample without fringes
+        calibration = json.loads(text or "{}")
+        yield LabelledSample(row["key"][0].as_py(), described, arrays, calibration)
 
 
 def _nested(column: Any) -> NDArray[Any]:

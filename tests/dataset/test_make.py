@@ -10,7 +10,7 @@ import pyarrow.parquet
 import pytest
 
 from reconstruction.errors import InputError
-from reconstruction.evaluate.predictions import score_baseline
+from reconstruction.evaluate.baselines import score_baseline
 from reconstruction.evaluate.samples import read_samples
 from tests.dataset.conftest import COUNT, MadeSet
 from twin.cli import run

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from reconstruction.evaluate.predictions import BASELINES, PredictionScore
+from reconstruction.evaluate.baselines import BASELINES
+from reconstruction.evaluate.predictions import PredictionScore
 from reconstruction.evaluate.samples import LabelledSample
 from twin.config import load_experiment
 from twin.dataset.quantities import SAMPLE_QUANTITIES, check_held

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from reconstruction.errors import InputError
-from reconstruction.evaluate.predictions import score_baseline, score_predictions
+from reconstruction.evaluate.predictions import score_predictions
 from reconstruction.evaluate.samples import npy as read_npy
 
 SHAPE = (12, 16)
@@ -162,53 +162,6 @@ def test_a_damaged_shard_is_named(dataset, tmp_path) -> None:
     shard.write_bytes(shard.read_bytes()[:3000])
     with pytest.raises(InputError, match=r"test-000000\.tar: damaged"):
         score_predictions(predict(tmp_path / "p", k00=truth()["depth_mm"]), dataset)
-
-
-def with_decoded(masked: np.ndarray, jump_rad: float = 0.0) -> dict[str, np.ndarray]:
-    """Decoded maps of a surface whose phase jumps between two columns."""
-    arrays = truth()
-    arrays["phase_column_rad"] = arrays["phase_column_rad"] + np.where(COLS >= 10, jump_rad, 0.0)
-    arrays["decoded_phase_column_rad"] = arrays["phase_column_rad"] + 0.01
-    wrapped = np.mod(arrays["phase_column_rad"], TURN)
-    arrays["decoded_wrapped_phase_column_rad"] = wrapped.astype(np.float32)
-    arrays["decoded_reason"] = masked.astype(np.uint8)
-    return arrays
-
-
-def test_the_decoder_as_baseline(tmp_path) -> None:
-    arrays = with_decoded(masked=COLS >= 13)
-    folder = write_dataset(tmp_path / "set", {"0": ("a", arrays)})
-    figures = score_baseline("decoded", folder).figures()
-    assert figures["phase_column_completeness"] == pytest.approx(0.75)
-    assert figures["phase_column_bias_rad"] == pytest.approx(0.01, rel=1e-3)
-    assert "depth_rms_um" not in figures
-
-
-def test_spatial_unwrapping_of_a_plane_is_exact_and_stops_at_a_jump(tmp_path) -> None:
-    """Expected: beyond a jump of 0.4 turns the pixels are another island, without prediction."""
-    smooth = with_decoded(masked=COLS < 0)
-    jumping = with_decoded(masked=COLS < 0, jump_rad=0.4 * TURN)
-    one = write_dataset(tmp_path / "one", {"0": ("a", smooth)})
-    two = write_dataset(tmp_path / "two", {"0": ("a", jumping)})
-    figures = score_baseline("spatial_unwrapping", one).figures()
-    assert figures["phase_column_completeness"] == 1.0
-    assert figures["phase_column_rms_rad"] < 1e-5
-    assert figures["phase_column_wrong_order_share"] == 0.0
-    figures = score_baseline("spatial_unwrapping", two).figures()
-    assert figures["phase_column_completeness"] == pytest.approx(0.5)
-    assert figures["phase_column_rms_rad"] < 1e-5
-
-
-@pytest.mark.parametrize(
-    ("name", "message"),
-    [
-        ("neural", "found 'neural', allowed: decoded, spatial_unwrapping"),
-        ("decoded", "--baseline decoded needs depth_mm with decoded_depth_mm"),
-    ],
-)
-def test_faults_of_baselines(dataset, name: str, message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        score_baseline(name, dataset)
 
 
 @pytest.mark.parametrize("split", ["all", "/test", "**", "*"])

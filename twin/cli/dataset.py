@@ -130,11 +130,13 @@ def score(
     out
         Folder for result.json and objects.csv; default: none is written.
     baseline
-        Classical method that is scored in place of predictions: decoded, spatial_unwrapping.
+        Classical method that is scored in place of predictions: decoded, spatial_unwrapping,
+        fourier.
     split
         Part of the data set: train, validation or test.
     """
-    from reconstruction.evaluate.predictions import score_baseline, score_predictions
+    from reconstruction.evaluate.baselines import score_baseline
+    from reconstruction.evaluate.predictions import score_predictions
 
     expected = 1 if baseline else 2
     if len(folders) != expected:

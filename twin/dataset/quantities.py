@@ -115,7 +115,9 @@ _TURN = 2.0 * np.pi
 def _frames(taken: TakenSample) -> Array:
     capture = taken.fringes.capture
     kind = np.uint8 if capture.bit_depth <= 8 else np.uint16
-    return np.rint(capture.stack).astype(kind)
+    stack = capture.stack  # float without noise
+    whole = stack if np.issubdtype(stack.dtype, np.integer) else np.rint(stack)
+    return whole.astype(kind, copy=False)
 
 
 def _white(taken: TakenSample) -> Array:

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from reconstruction.capture.folder import Capture
 from reconstruction.pipeline import reconstruct
-from reconstruction.rig.calibration import Calibration
 from reconstruction.rig.pinhole import Pinhole
 from reconstruction.writing import write_bytes, write_png
 from twin.config import Experiment
@@ -127,7 +127,7 @@ def _writer(taken: TakenSample, content: SampleContent) -> Callable[[Path], None
     # The arrays are computed here, where it may fail; `write` then only accesses the disk.
     arrays = {name: SAMPLE_QUANTITIES[name].values(taken) for name in content.hold}
     recording = taken.recording
-    calibration = None if recording is None else calibration_tree(recording.capture.calibration)
+    calibration = None if recording is None else calibration_tree(recording.capture)
 
     def write(folder: Path) -> None:
         (folder / SAMPLE_FOLDER).mkdir()
@@ -136,27 +136,34 @@ def _writer(taken: TakenSample, content: SampleContent) -> Callable[[Path], None
                 for number, frame in enumerate(values):
                     write_png(folder / SAMPLE_FOLDER / f"{name}.{number:03d}.png", frame)
             else:
-                write_bytes(folder / SAMPLE_FOLDER / f"{name}.npy", npy_bytes(values))
+                write_bytes(folder / SAMPLE_FOLDER / f"{name}.npy", *npy_parts(values))
         if calibration is not None:
             write_json(folder / SAMPLE_FOLDER / CALIBRATION_JSON, calibration)
 
     return write
 
 
-def npy_bytes(values: NDArray[Any]) -> memoryview:
-    """Return an array in the format of NumPy's .npy files."""
-    encoded = io.BytesIO()
-    np.save(encoded, np.ascontiguousarray(values), allow_pickle=False)
-    return encoded.getbuffer()
+def npy_parts(values: NDArray[Any]) -> tuple[bytes, memoryview]:
+    """Return an array in the format of NumPy's .npy files: header, and values without a copy."""
+    contiguous = np.ascontiguousarray(values)
+    header = io.BytesIO()
+    np.lib.format.write_array_header_1_0(
+        header, np.lib.format.header_data_from_array_1_0(contiguous)
+    )
+    return header.getvalue(), contiguous.data
 
 
-def calibration_tree(calibration: Calibration) -> Mapping[str, Any]:
-    """Return a calibration as nested tables for JSON; lengths in mm.
+def calibration_tree(capture: Capture) -> Mapping[str, Any]:
+    """Return the calibration of a capture as nested tables for JSON; lengths in mm.
 
     `T_world_from_cam` maps points from the camera's frame (x right, y down, z forward) to the world
-    frame (z up towards the devices).
+    frame (z up towards the devices). `periods_px` is the measuring period along each axis of the
+    fringes, projector px.
     """
+    calibration, patterns = capture.calibration, capture.patterns
+    axes = patterns.axes if patterns.steps else ()
     tree = {
+        "periods_px": {axis: float(patterns.period_along(axis)) for axis in axes},
         "camera": _pinhole_tree(calibration.camera),
         "projector": _pinhole_tree(calibration.projector),
         "T_world_from_cam": calibration.T_world_from_cam.tolist(),

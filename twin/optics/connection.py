@@ -14,7 +14,7 @@ import numpy as np
 
 from reconstruction.arrays import BoolImage, FloatArray, FloatImage, IntArray
 from reconstruction.errors import InputError
-from twin.optics.devices import Device
+from twin.optics.devices import Device, kernel_number
 from twin.optics.heights import MarchedHeights
 from twin.optics.layers import Arrival, LayerStack
 from twin.optics.light import LEAST_VARIANCE_PX2, MARGIN_PX, OVERSAMPLING, BlurLevels, LightTable
@@ -116,8 +116,9 @@ def first_hit(scene: Any, heights: MarchedHeights | None, ray: Any) -> Any:
 
 def _arrive(rig: Rig, point_mm: Any) -> Arrival:
     """Return the projector's light at a point, along a straight line or through the layers."""
+    irradiance_at_1mm = kernel_number(rig.irradiance_at_1mm)
     if rig.layers is not None:
-        return rig.layers.arrive(rig.projector, rig.irradiance_at_1mm, point_mm)
+        return rig.layers.arrive(rig.projector, irradiance_at_1mm, point_mm)
     column_px, row_px, axial_mm = rig.projector.project(point_mm)
     to_projector = rig.projector.position_mm - point_mm
     distance_mm = dr.norm(to_projector)
@@ -129,7 +130,7 @@ def _arrive(rig: Rig, point_mm: Any) -> Arrival:
         clear_mm=distance_mm,
         # A plane facing the projector receives E1 / z^2; a surface element facing the ray gets
         # 1 / cos(ray, axis) = distance / z more; its own cosine is in the BSDF.
-        irradiance=rig.irradiance_at_1mm * distance_mm / (axial_mm * axial_mm * axial_mm),
+        irradiance=irradiance_at_1mm * distance_mm / (axial_mm * axial_mm * axial_mm),
     )
 
 
@@ -310,7 +311,7 @@ class _LookUpTable:
     def _padded(self, profiles: FloatImage) -> Any:
         padded = np.zeros((*profiles.shape[:-1], self.packets * _PACKET), np.float32)
         padded[..., : self.profiles] = profiles
-        return mi.Float(padded.ravel())
+        return _aligned(padded.ravel())
 
     def look_up(self, position_px: Any, _axial_mm: Any, active: Any) -> list[Any]:
         """Return every profile at a projector coordinate, interpolated; 0 outside the table."""
@@ -342,6 +343,17 @@ class _LookUpTable:
         inside = active & (x >= 0.0) & (x < self.nodes - 1.0)
         node = mi.UInt32(dr.select(inside, x, 0.0))
         return node, x - mi.Float(node), inside
+
+
+def _aligned(values: FloatImage) -> Any:
+    """Return numbers as `mi.Float` in memory of Dr.Jit, which is aligned to whole packets.
+
+    NumPy's memory is aligned by chance. In other memory Dr.Jit reads the numbers of a packet one by
+    one, with another kernel.
+    """
+    copied = dr.zeros(mi.Float, values.size)
+    dr.scatter(copied, mi.Float(values), dr.arange(mi.UInt32, values.size))
+    return copied
 
 
 class _DefocusedTable(_LookUpTable):

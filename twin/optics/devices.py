@@ -3,6 +3,9 @@
 Distortion, its inverse and its fold (the radius beyond which it has no inverse) are those of
 `reconstruction.rig.pinhole`. Single precision resolves an image of 1000 pixels to 1e-4 px. Camera
 rays start from a fixed square grid of sub-pixel positions on every pixel.
+
+Pose and intrinsics are data of a kernel and not part of its code: rigs with other numbers, as in
+the samples of a data set, use the same compiled kernels.
 """
 
 from dataclasses import dataclass
@@ -11,6 +14,7 @@ from typing import Any
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
 from reconstruction.arrays import FloatArray
 from reconstruction.rig.pinhole import (
@@ -33,6 +37,18 @@ _LAST_STEP = 3e-5
 _OFF_PX = -1e6
 
 
+def kernel_number(value: Any) -> Any:
+    """Return a number as data of the kernel (opaque `mi.Float`); a Dr.Jit variable is unchanged."""
+    return value if dr.is_array_v(value) else dr.opaque(mi.Float, float(value))
+
+
+def _reciprocal(value: Any) -> Any:
+    """Return 1 / value as data of the kernel, rounded as in a division by a literal of a kernel."""
+    if dr.is_array_v(value):
+        return 1.0 / value
+    return kernel_number(np.float32(1.0) / np.float32(value))
+
+
 @dataclass(frozen=True)
 class Device:
     """A camera or projector at a pose, for use inside a kernel; a camera may have a thin lens."""
@@ -44,11 +60,29 @@ class Device:
     @property
     def position_mm(self) -> Any:
         """World position of the pinhole, `mi.Point3f`, mm."""
-        return mi.Point3f(*self.T_world_from_device[:3, 3].tolist())
+        return mi.Point3f(*self._pose_columns[3])
 
     def _axes(self) -> tuple[Any, Any, Any]:
-        right, down, forward = self.T_world_from_device[:3, :3].T.tolist()
-        return mi.Vector3f(*right), mi.Vector3f(*down), mi.Vector3f(*forward)
+        right, down, forward = (mi.Vector3f(*column) for column in self._pose_columns[:3])
+        return right, down, forward
+
+    @cached_property
+    def _pose_columns(self) -> list[list[Any]]:
+        """Columns of the upper three rows of the pose."""
+        columns = self.T_world_from_device[:3].T.tolist()
+        return [[kernel_number(value) for value in column] for column in columns]
+
+    @cached_property
+    def _focal_px(self) -> tuple[Any, Any]:
+        return kernel_number(self.pinhole.fx_px), kernel_number(self.pinhole.fy_px)
+
+    @cached_property
+    def _per_focal_px(self) -> tuple[Any, Any]:
+        return _reciprocal(self.pinhole.fx_px), _reciprocal(self.pinhole.fy_px)
+
+    @cached_property
+    def _centre_px(self) -> tuple[Any, Any]:
+        return kernel_number(self.pinhole.cx_px), kernel_number(self.pinhole.cy_px)
 
     def ray(self, x_px: Any, y_px: Any) -> Any:
         """Return the world ray (`mi.Ray3f`, unit direction) through continuous pixel coordinates.
@@ -79,26 +113,26 @@ class Device:
 
     def _slopes(self, x_px: Any, y_px: Any) -> tuple[Any, Any, Any]:
         """Return the normalised coordinates x / z, y / z of pixels, and True if a ray exists."""
-        p = self.pinhole
-        x, y = (x_px - p.cx_px) / p.fx_px, (y_px - p.cy_px) / p.fy_px
-        return _undistort(x, y, p.distortion) if any(p.distortion) else (x, y, mi.Bool(True))
+        (cx, cy), (per_fx, per_fy) = self._centre_px, self._per_focal_px
+        x, y, distortion = (x_px - cx) * per_fx, (y_px - cy) * per_fy, self.pinhole.distortion
+        return _undistort(x, y, distortion) if any(distortion) else (x, y, mi.Bool(True))
 
     def project(self, point_mm: Any) -> tuple[Any, Any, Any]:
         """Return the pixel coordinates x_px, y_px and the axial distance, mm, of a world point.
 
         Points beyond the fold of the distortion have no pixel: their coordinates are far outside.
         """
-        p = self.pinhole
+        distortion, (fx, fy), (cx, cy) = self.pinhole.distortion, self._focal_px, self._centre_px
         right, down, forward = self._axes()
         offset = point_mm - self.position_mm
         axial_mm = dr.dot(offset, forward)
         x, y = dr.dot(offset, right) / axial_mm, dr.dot(offset, down) / axial_mm
-        if not any(p.distortion):
-            return dr.fma(x, p.fx_px, p.cx_px), dr.fma(y, p.fy_px, p.cy_px), axial_mm
-        jacobian = distortion_jacobian(x, y, p.distortion)
-        imaged = is_before_fold(x, y, jacobian, fold_square(p.distortion))
-        x, y = distort(x, y, p.distortion)
-        x_px, y_px = dr.fma(x, p.fx_px, p.cx_px), dr.fma(y, p.fy_px, p.cy_px)
+        if not any(distortion):
+            return dr.fma(x, fx, cx), dr.fma(y, fy, cy), axial_mm
+        jacobian = distortion_jacobian(x, y, distortion)
+        imaged = is_before_fold(x, y, jacobian, fold_square(distortion))
+        x, y = distort(x, y, distortion)
+        x_px, y_px = dr.fma(x, fx, cx), dr.fma(y, fy, cy)
         x_px, y_px = dr.select(imaged, x_px, _OFF_PX), dr.select(imaged, y_px, _OFF_PX)
         return x_px, y_px, axial_mm
 

@@ -13,6 +13,7 @@ from reconstruction.arrays import FloatArray
 from twin.config.models import Experiment, Material
 from twin.optics.bsdfs import level
 from twin.optics.checks import check_materials
+from twin.optics.creases import split_at_creases
 from twin.optics.materials import mitsuba_mesh
 from twin.specimens import bodies
 
@@ -26,9 +27,6 @@ STAGE = "stage"
 AIR_GAP_MM = 0.02
 """Air gap between stage and specimen: bodies do not wet the table. The gap is also 10 x the offset
 at which rays start from a surface."""
-
-CREASE_DEG = 20.0
-"""Adjacent facets with a smaller angle between their normals are one smooth surface."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +69,7 @@ def solids(experiment: Experiment) -> tuple[Solid, ...]:
         *(
             Solid(
                 f"part_{k}_{part.name}",
-                _smooth(part.mesh).apply_transform(pose),
+                split_at_creases(part.mesh).apply_transform(pose),
                 part.material.bsdf(),
                 part.material,
             )
@@ -131,10 +129,3 @@ def _stage(experiment: Experiment, z_mm: float) -> Solid:
 
 def _displaced(solid: Solid, pose: FloatArray) -> Solid:
     return replace(solid, mesh=solid.mesh.copy().apply_transform(pose))
-
-
-def _smooth(mesh: "trimesh.Trimesh") -> "trimesh.Trimesh":
-    """Return the mesh with vertices split along creases: normals are smooth on each side."""
-    import trimesh.graph
-
-    return trimesh.graph.smooth_shade(mesh, angle=np.deg2rad(CREASE_DEG))

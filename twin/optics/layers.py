@@ -110,7 +110,7 @@ class LayerStack:
             refracted, dr.select(enters, left, 0.0), self.media[-1].absorption_per_mm
         )
 
-    def arrive(self, projector: Device, irradiance_at_1mm: float, point_mm: Any) -> Arrival:
+    def arrive(self, projector: Device, irradiance_at_1mm: Any, point_mm: Any) -> Arrival:
         """Return the projector's light at points below the last interface.
 
         Parameters

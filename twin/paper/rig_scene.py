@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from twin.config import Experiment
 from twin.mechanics import PressedElastomer, face_mesh, slab_mesh
+from twin.optics.creases import split_at_creases
 from twin.optics.rig import true_calibration
 from twin.optics.view import SceneSurface
 from twin.report.scene import on_nodes
@@ -69,7 +70,7 @@ def specimen_things(experiment: Experiment, pressed: PressedElastomer) -> list[S
     things = [
         SceneSurface.of_mesh(
             f"part_{k}",
-            _smooth(part.mesh),
+            split_at_creases(part.mesh),
             CREAM,
             bsdf=None if part.material is None else part.material.bsdf(),
             smooth=True,
@@ -175,10 +176,6 @@ def _thinned(pressed: PressedElastomer, cut_y_mm: float | None) -> PressedElasto
 def _every(nodes: NDArray[Any], step: int) -> NDArray[np.intp]:
     """Return every `step`-th index of the nodes, and the last index."""
     return np.union1d(np.arange(0, nodes.size, step), [nodes.size - 1])
-
-
-def _smooth(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    return trimesh.graph.smooth_shade(mesh, angle=np.deg2rad(20.0))
 
 
 def _box(low: tuple[float, ...], high: tuple[float, ...]) -> trimesh.Trimesh:

@@ -246,14 +246,15 @@ def bounces_of(
 ) -> Bounces | None:
     """Return the settings of light reflected between surfaces.
 
-    None for a coat if the experiment requests no such reflections.
+    None if the experiment requests no such reflections, and there are no sharp bodies, whose light
+    is always traced.
     """
+    if not (experiment.bounces or geometry.surfaces.sharp):
+        return None
     if geometry.face is None:
         received = None if photons is None else StageLight(map_photons(photons, tables))
         most, paths = experiment.bounces, experiment.render.bounce_paths
         return Bounces(most, paths, _direct_seeds(experiment)[1], geometry.surfaces, received)
-    if not experiment.bounces:
-        return None
     seed = int(seed_sequence(experiment, "bounces").generate_state(1)[0])
     return Bounces(experiment.bounces, experiment.render.bounce_paths, seed)
 
