@@ -20,7 +20,7 @@ from reconstruction.machine import is_disk_full
 from reconstruction.reading import parse_toml, shown
 from twin.cli.talk import OPTIONS, verbose
 from twin.cli.talk import progress_bars as progress_bars
-from twin.working import write_end_message
+from twin.working import BY_SIGNAL, end_by_signal
 
 if TYPE_CHECKING:
     from twin.config import Experiment
@@ -30,9 +30,6 @@ BAD_INPUT, MISSING_BACKEND, FAILURE = 2, 3, 1
 # The operating system raises these errors for any access to a file name that it does not accept,
 # even for a test whether the file exists.
 _NO_SUCH_NAME = (errno.ENAMETOOLONG, errno.ELOOP)
-BY_SIGNAL = 128
-"""The exit code of a command that a signal ended is this number plus the number of the signal."""
-
 app = App(
     name="twin",
     help="Digital twin of a contact fringe-projection sensor: press, render, reconstruct, score.",
@@ -81,9 +78,7 @@ def guarded(run: Callable[[], Any]) -> int:
     try:
         return int(run() or 0)
     except KeyboardInterrupt as error:
-        number = getattr(error, "number", signal.SIGINT)
-        write_end_message(number)
-        return BY_SIGNAL + number
+        return end_by_signal(error)
     except BrokenPipeError:
         # The reader of the output has closed it; Python would report that again when it flushes.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
