@@ -56,7 +56,7 @@ COMMANDS = {
     "press fem": f"press examples/slab_ball -s mechanics.model=fem {_FEM} -o out",
     "render": f"render examples/slab_ball {_SLAB} -o out",
     "measure": f"measure examples/slab_ball {_SLAB} -o out",
-    "calibrate": f"calibrate examples/slab_ball {_CAMERA} -o out",
+    "calibrate": "calibrate examples/slab_ball -s camera.binning=4 -o out",
     "sweep": "sweep study.toml -j 2 -o out",
     "dataset": "dataset datasets/contact_denoising -n 6 -j 2 -o out",
     "scan": "scan scan.toml -o out",
@@ -138,7 +138,14 @@ def _started(name: str, folder: Path) -> "subprocess.Popen[bytes]":
         stdout=subprocess.DEVNULL,
         stderr=(folder / "stderr").open("wb"),
         start_new_session=True,
+        preexec_fn=_heed_signals,
     )
+
+
+def _heed_signals() -> None:
+    """Undo that a shell starts a background job with SIGINT ignored, or nohup with SIGHUP."""
+    for number in SIGNALS:
+        signal.signal(number, signal.SIG_DFL)
 
 
 def _one(
