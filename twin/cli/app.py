@@ -8,6 +8,7 @@ import os
 import signal
 import sys
 import traceback
+import unicodedata
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
@@ -73,8 +74,11 @@ DryRun = Annotated[
 ]
 
 
-def guarded(run: Callable[[], Any]) -> int:
-    """Run a command and return its exit code; report an expected failure in one line on stderr."""
+def guarded(run: Callable[[], Any], words: Sequence[str] = ()) -> int:
+    """Run a command and return its exit code; report an expected failure in one line on stderr.
+
+    Line breaks and other control characters in `words`, the command line, are printed as escapes.
+    """
     try:
         return int(run() or 0)
     except KeyboardInterrupt as error:
@@ -90,8 +94,15 @@ def guarded(run: Callable[[], Any]) -> int:
         if verbose():
             traceback.print_exc()
     message, code = failure
+    for word in words:
+        for name in (word, str(Path(word))):
+            message = message.replace(name, shown(name)) if _has_control(name) else message
     sys.stderr.write(f"twin: {message}\n")
     return code
+
+
+def _has_control(name: str) -> bool:
+    return any(unicodedata.category(sign) in ("Cc", "Cs", "Zl", "Zp") for sign in name)
 
 
 def _failure_message(error: Exception) -> tuple[str, int] | None:

@@ -21,7 +21,7 @@ from twin.cli.talk import choose_level, introduce
 def run_line(arguments: list[str] | None = None) -> int:
     """Run one command line (default: the arguments of the process) and return its exit code."""
     words = choose_level(sys.argv[1:] if arguments is None else arguments)
-    return guarded(lambda: _dispatch(words))
+    return guarded(lambda: _dispatch(words), words)
 
 
 def _dispatch(words: list[str]) -> int | None:
