@@ -49,7 +49,7 @@ _MOST_DRAWS = 30
 _POLL_S = 0.05
 _CAMERA = {"camera.binning": 4, "camera.width_px": 320, "camera.height_px": 240}
 _SLAB = _CAMERA | {"press.solver_pitch_mm": 0.4}
-_FORCE = {"press.control": "force", "press.depth_mm": "absent", "press.force_n": 2.0}
+_FORCE = {"press.control": "force", "press.depth_mm": "absent", "press.force_n": 10.0}
 SENSORS: dict[str, tuple[str, dict[str, Any]]] = {
     "slab": ("examples/slab_ball", _SLAB),
     "slab_force": ("examples/slab_ball", _SLAB | _FORCE),
@@ -57,7 +57,6 @@ SENSORS: dict[str, tuple[str, dict[str, Any]]] = {
     "sheet": ("examples/wrapped_balls", _CAMERA | {"press.cell_mm": 0.5}),
     "direct": ("examples/gauges", _CAMERA),
     "airbrushed": ("examples/airbrushed", _SLAB),
-    "photometric": ("examples/gelsight_ball", {"camera.binning": 4}),
 }
 SPECIMENS = (
     "ball", "bar", "bars", "bear", "brick", "fingerprint", "flat", "grating", "nut",
@@ -65,7 +64,7 @@ SPECIMENS = (
 )  # fmt: skip
 _TABLES = (
     "press", "elastomer", "specimen", "projector", "camera", "patterns", "decode", "score",
-    "render", "coating", "layers", "stage", "lamps", "photometric", "reconstruct",
+    "render", "coating", "layers", "stage", "motion", "mechanics",
 )  # fmt: skip
 
 
@@ -76,7 +75,7 @@ def drawn_case(seed: int) -> tuple[str, dict[str, Any]]:
     kind = rng.choice((None, *SPECIMENS))
     base, fixed = SENSORS[name]
     if kind:
-        fixed = fixed | {"specimen": {"kind": kind}}
+        fixed = fixed | {"specimen.kind": kind}
     pool = _keys_of(name, kind)
     if not pool:
         return base, fixed
@@ -109,12 +108,11 @@ def _keys_of(sensor: str, kind: str | None) -> Mapping[str, Any]:
     from twin.config import load_experiment
 
     base, fixed = SENSORS[sensor]
-    settings = fixed | ({"specimen": {"kind": kind}} if kind else {})
+    settings = fixed | ({"specimen.kind": kind} if kind else {})
     if not _is_accepted(base, settings):
         return {}
     tree = load_experiment(base, settings).model_dump(mode="python")
-    tables = _TABLES if sensor == "photometric" else set(_TABLES) - {"photometric", "lamps"}
-    return dict(numbers_in({name: tree[name] for name in tables if tree.get(name)}))
+    return dict(numbers_in({name: tree[name] for name in _TABLES if tree.get(name)}))
 
 
 def _ends_of(key: str, value: Any) -> list[Any]:
@@ -164,7 +162,7 @@ def _run_case(seed: int, messages: Path) -> FuzzOutcome:
         end = "partial_output"
     shutil.rmtree(out, ignore_errors=True)
     drawn = dict(list(settings.items())[-2:])
-    kind = settings.get("specimen", {}).get("kind", "")
+    kind = settings.get("specimen.kind", "")
     seconds = time.monotonic() - start
     return FuzzOutcome(seed, f"{base} {kind}".strip(), str(drawn), end, message, seconds)
 
