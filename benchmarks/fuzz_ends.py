@@ -43,6 +43,7 @@ from benchmarks.fuzz_numbers import (
     setting_words,
 )
 from benchmarks.fuzzing import FuzzOutcome, ended
+from twin.study.worker import die_with
 
 LIMIT_S = 60.0
 _MOST_DRAWS = 30
@@ -128,8 +129,9 @@ def _ends_of(key: str, value: Any) -> list[Any]:
 # ---- one child process, many cases -------------------------------------------------------------
 
 
-def _run_cases(seeds: Sequence[int], journal: Path) -> int:
+def _run_cases(parent: int, seeds: Sequence[int], journal: Path) -> int:
     """Run cases in this process; the journal has a line at the start and the end of each."""
+    die_with(parent)
     resource.setrlimit(resource.RLIMIT_AS, (MOST_BYTES, MOST_BYTES))
     messages = Path("stderr").absolute()
     with journal.open("a", buffering=1) as lines:
@@ -198,7 +200,7 @@ def outcomes_of(seeds: Sequence[int], limit_s: float = LIMIT_S) -> Iterator[Fuzz
         while remaining:
             journal = folder / "journal"
             journal.write_text("")
-            child = forked(partial(_run_cases, remaining, journal), folder)
+            child = forked(partial(_run_cases, os.getpid(), remaining, journal), folder)
             try:
                 for outcome in _watched(child, journal, folder, limit_s):
                     remaining.remove(outcome.seed)

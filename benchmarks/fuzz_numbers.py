@@ -28,7 +28,7 @@ EXTREMES = (0, -1, 5e-324, 1e-300, 1e-9, 1e9, 1e300)
 LARGEST = 1e7
 """Of a figure in its own unit (mm, um, ms, kPa, N): no sensor has a larger one."""
 MOST_BYTES = 6 * 2**30
-_SETTINGS_AND_TIMES = ("experiment", "seconds", "frames_per_s", "seed")
+_SETTINGS_AND_TIMES = ("experiment", "seconds", "frames_per_s", "seed", "sequence_ms")
 _SMALL_CAMERA = {"camera.binning": 4, "camera.width_px": 484, "camera.height_px": 368}
 _SLAB = _SMALL_CAMERA | {"press.solver_pitch_mm": 0.4}
 _SHEET = _SMALL_CAMERA | {"press.cell_mm": 0.4}

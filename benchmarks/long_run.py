@@ -31,7 +31,6 @@ BASE = {
     "camera.width_px": 320,
     "camera.height_px": 240,
     "press.solver_pitch_mm": 0.4,
-    "press.relief_pitch_mm": 0.1,
 }
 LOG = "LONG_RUN_LOG"
 NAMES = ("memory_mb", "handles", "threads", "temporary_files", "cache_files", "cache_mb")
