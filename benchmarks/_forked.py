@@ -21,7 +21,7 @@ def preload() -> None:
     import h5netcdf  # noqa: F401
     import trimesh  # noqa: F401
 
-    import twin.cli
+    import twin.cli.commands
     import twin.pipeline.captures
     import twin.pipeline.press
     import twin.report

@@ -1,8 +1,9 @@
 """Fuzz the command line: damaged files, hostile arguments, damaged stores and results.
 
 Each case is a seed (`benchmarks.fuzzing`). `--seed N` repeats a case and prints it; bad cases are
-printed at once. Last line: {"cases": n, "tracebacks": 0, "hangs": 0, "crashes": 0,
-"partial_outputs": 0, "foreign_changes": 0, "unreported": 0, ...}.
+printed at once. After every `CASES_PER_PAIR` cases an experiment with two keys at the ends of their
+ranges is measured (`benchmarks.fuzz_ends`). Last line: {"cases": n, "tracebacks": 0, "hangs": 0,
+"crashes": 0, "absurd": 0, "partial_outputs": 0, "foreign_changes": 0, "unreported": 0, ...}.
 """
 
 import argparse
@@ -12,18 +13,22 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
+from itertools import islice
 from pathlib import Path
 
 from benchmarks._forked import command, preload
+from benchmarks.fuzz_ends import outcomes_of
 from benchmarks.fuzz_stock import make_stock
 from benchmarks.fuzzing import LIMIT_S, TARGETS, FuzzOutcome, run_case
 
+CASES_PER_PAIR = 20
 ENDS = {
     "tracebacks": "traceback",
     "hangs": "hang",
     "crashes": "crash",
+    "absurd": "absurd",
     "partial_outputs": "partial_output",
     "foreign_changes": "foreign_change",
     "unreported": "unreported",
@@ -58,9 +63,29 @@ def main() -> int:
             accepted = [is_accepted(run(0, sound=name)) for name in names]
             return int(not all(accepted))
         count, end = 200 if chosen.quick else chosen.cases, time.monotonic() + 60 * chosen.minutes
-        outcomes = list(until(end, map(run, range(chosen.first, chosen.first + count))))
+        seeds = range(chosen.first, chosen.first + count)
+        outcomes = list(until(end, with_pairs(seeds, run, 3 * chosen.limit)))
     print(json.dumps(summary(outcomes)))
     return int(any(outcome.is_bad for outcome in outcomes))
+
+
+def with_pairs(
+    seeds: range, run: Callable[[int], FuzzOutcome], limit_s: float
+) -> Iterator[FuzzOutcome]:
+    """Yield the outcomes of all cases, and of a pair of keys after every `CASES_PER_PAIR`."""
+    pairs = outcomes_of([seed // CASES_PER_PAIR for seed in seeds[::CASES_PER_PAIR]], limit_s)
+    for seed in seeds:
+        yield run(seed)
+        if seed % CASES_PER_PAIR == CASES_PER_PAIR - 1:
+            yield from printed(pairs)
+
+
+def printed(outcomes: Iterator[FuzzOutcome]) -> Iterator[FuzzOutcome]:
+    """Yield the next outcome, if there is one; print it if it is bad."""
+    for outcome in islice(outcomes, 1):
+        if outcome.is_bad:
+            print(outcome, flush=True)
+        yield outcome
 
 
 def one_case(seed: int, stock: Path, limit_s: float, sound: str = "") -> FuzzOutcome:

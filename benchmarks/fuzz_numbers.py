@@ -17,7 +17,7 @@ import shutil
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,7 +28,7 @@ EXTREMES = (0, -1, 5e-324, 1e-300, 1e-9, 1e9, 1e300)
 LARGEST = 1e7
 """Of a figure in its own unit (mm, um, ms, kPa, N): no sensor has a larger one."""
 MOST_BYTES = 6 * 2**30
-_SETTINGS_AND_TIMES = ("experiment", "seconds", "frames_per_s", "seed")
+_SETTINGS_AND_TIMES = ("experiment", "seconds", "frames_per_s", "seed", "sequence_ms")
 _SMALL_CAMERA = {"camera.binning": 4, "camera.width_px": 484, "camera.height_px": 368}
 _SLAB = _SMALL_CAMERA | {"press.solver_pitch_mm": 0.4}
 _SHEET = _SMALL_CAMERA | {"press.cell_mm": 0.4}
@@ -67,41 +67,48 @@ def cases_of(base: NumberBase) -> Iterator[tuple[str, float]]:
     from twin.config.schema import limits_at
 
     tree = load_experiment(base.experiment, base.settings).model_dump(mode="python")
-    for key in _numbers_in({name: tree[name] for name in base.sections}):
+    for key, _ in numbers_in({name: tree[name] for name in base.sections}):
         for value in dict.fromkeys((*limits_at(key), *EXTREMES)):
             yield key, value
 
 
-def _numbers_in(tree: dict[str, Any], before: str = "") -> Iterator[str]:
-    """Yield the dotted paths of the numbers in nested tables; lists have no paths."""
+def numbers_in(tree: dict[str, Any], before: str = "") -> Iterator[tuple[str, int | float]]:
+    """Yield dotted paths and values of the numbers in nested tables; lists have no paths."""
     for key, value in tree.items():
         if isinstance(value, dict):
-            yield from _numbers_in(value, f"{before}{key}.")
+            yield from numbers_in(value, f"{before}{key}.")
         elif isinstance(value, int | float) and not isinstance(value, bool):
-            yield f"{before}{key}"
+            yield f"{before}{key}", value
 
 
 def run_number(name: str, key: str, value: float, folder: Path, limit_s: float) -> FuzzOutcome:
     """Run one case in a child process, and judge it."""
     base, out = BASES[name], folder / "out"
     arguments = [base.command, base.experiment, "--no-report", "-o", "out"]
-    for path, setting in (base.settings | {key: value}).items():
-        arguments += ["-s", f"{path}={_as_toml(path, setting, key)}"]
+    arguments += setting_words(base.settings | {key: value})
     end, message, seconds = run_forked(arguments, folder, _limited, limit_s)
     text = (folder / "stderr").read_text()
     if end == "reported" and len(text.split("twin: ")[-1].splitlines()) > 3:
         end = "long"
     if end == "reported" and not (message and key.split(".")[-1] in text):
         message = f"(another key) {message}"
-    if end == "done" and (figure := _absurd(out / "result.json")):
+    if end == "done" and (figure := finite_absurdity(_read(out / "result.json"))):
         end, message = "absurd", figure
     shutil.rmtree(out, ignore_errors=True)
     return FuzzOutcome(0, name, f"{key} = {value!r}", end, message, seconds)
 
 
-def _as_toml(path: str, setting: Any, key: str) -> str:
-    text = f"'{setting}'" if isinstance(setting, str) else repr(setting)
-    return f"{{ value = {text}, source = 'fuzz' }}" if path == key else text
+def setting_words(settings: Mapping[str, Any]) -> list[str]:
+    """Return settings as words of a command line; numbers state a source, as files have to."""
+    return [word for path, value in settings.items() for word in ("-s", f"{path}={_toml(value)}")]
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, dict):
+        return f"{{ {', '.join(f'{key} = {_toml(item)}' for key, item in value.items())} }}"
+    if isinstance(value, str):
+        return f"'{value}'"
+    return f"{{ value = {value!r}, source = 'fuzz' }}"
 
 
 def _limited(arguments: list[str]) -> int:
@@ -109,9 +116,13 @@ def _limited(arguments: list[str]) -> int:
     return command(arguments)
 
 
-def _absurd(result: Path) -> str:
-    """Return the first figure that no sensor has; empty if there is none."""
-    for name, value in _figures_in(json.loads(result.read_text(encoding="utf-8"))):
+def _read(result: Path) -> Any:
+    return json.loads(result.read_text(encoding="utf-8"))
+
+
+def finite_absurdity(tree: Any) -> str:
+    """Return the first figure of nested tables that no sensor has; empty if there is none."""
+    for name, value in _figures_in(tree):
         if not math.isfinite(value) or abs(value) > LARGEST:
             return f"{name} = {value:g}"
     return ""

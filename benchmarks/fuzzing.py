@@ -231,9 +231,20 @@ def run_forked(
     status = _waited(forked(lambda: command(arguments), folder), limit_s)
     seconds = time.monotonic() - start
     text = (folder / "stderr").read_text(encoding="utf-8", errors="replace")
+    code = None if status is None else os.waitstatus_to_exitcode(status)
+    return (*ended(code, text), seconds)
+
+
+def ended(code: int | None, text: str) -> tuple[str, str]:
+    """Return how a command ended and its last line, from its exit code and messages.
+
+    Parameters
+    ----------
+    code : exit code; negative: the number of the signal that ended it; None: it was stopped
+    text : all that it wrote to stderr
+    """
     lines = text.splitlines()
     last = text.strip().splitlines()[-1][:300] if text.strip() else ""
-    code = None if status is None else os.waitstatus_to_exitcode(status)
     if code is None:
         end, message = "hang", last
     elif code < 0:
@@ -246,7 +257,7 @@ def run_forked(
         end, message = "unreported", f"{code}, {len(lines)} lines: {last}"
     else:
         end, message = ("reported" if code else "done"), last
-    return end, message, seconds
+    return end, message
 
 
 def _waited(child: int, limit_s: float) -> int | None:

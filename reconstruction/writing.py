@@ -12,10 +12,13 @@ temporary file is removed. Until the renaming an existing file of the final name
 import errno
 import io
 import os
+import re
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from reconstruction.errors import InputError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -24,6 +27,8 @@ if TYPE_CHECKING:
 Content = bytes | bytearray | memoryview
 
 _PIECE_BYTES = 2**24
+# Where a name in a text begins and ends, and the number of characters searched for it.
+_PARTS, _NEAR = re.compile("[\"'\\n]"), 300
 
 
 def write_bytes(path: Path | str, *parts: Content, durable: bool = False) -> None:
@@ -116,8 +121,27 @@ def make_names_durable(folder: Path) -> None:
 
 
 def write_text(path: Path | str, text: str, *, durable: bool = False) -> None:
-    """Write text to a file by `write_bytes`, in UTF-8, with unchanged line ends."""
-    write_bytes(path, text.encode("utf-8"), durable=durable)
+    """Write text to a file by `write_bytes`, in UTF-8, with unchanged line ends.
+
+    Raises
+    ------
+    OSError : as `write_bytes`
+    InputError : the text contains a file name whose bytes are no UTF-8
+    """
+    try:
+        content = text.encode("utf-8")
+    except UnicodeEncodeError as error:
+        near = text[max(0, error.start - _NEAR) : error.start + _NEAR]
+        name = next(part for part in _PARTS.split(near) if _is_bytes(part))
+        raise InputError(
+            f"{path}: would contain the name {name!r}, allowed: UTF-8; rename that file or folder"
+        ) from None
+    write_bytes(path, content, durable=durable)
+
+
+def _is_bytes(name: str) -> bool:
+    """Return True if a name contains bytes that are no UTF-8, which are surrogates in Python."""
+    return any("\ud800" <= sign <= "\udfff" for sign in name)
 
 
 def write_png(path: Path | str, pixels: "NDArray[Any]") -> None:

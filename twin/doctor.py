@@ -24,8 +24,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import get_args
 
+import reconstruction
 from reconstruction.machine import usable_cores
 from twin.assets import Collection, asset_folders, list_assets
+from twin.caches import CLEAR, CodeCache, caches, numba_folders
 from twin.extras import install, pip_install
 
 DISTRIBUTION = "fringe-twin"
@@ -68,7 +70,7 @@ def diagnose() -> list[Finding]:
         _sheet_solver,
         _cores,
         _memory,
-        _compiled_kernels,
+        _caches,
         _assets,
         _disk,
     )
@@ -158,22 +160,33 @@ def _memory() -> list[Finding]:
     return [Finding("memory", ok, detail, "" if ok else "render fewer pixels or frames")]
 
 
-def _compiled_kernels() -> list[Finding]:
-    """Check that a cache folder for compiled Numba kernels is writable.
+def _caches() -> list[Finding]:
+    """Report size and place of the caches of compiled code.
 
-    Without a cache every start of the twin compiles the kernels again.
+    Without a writable folder for Numba's cache every start of the twin compiles the kernels again.
     """
-    spec = importlib.util.find_spec("reconstruction")
-    package = Path(spec.origin).parent if spec and spec.origin else Path()
-    user = Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()) / "numba"
+    findings = [_cache(cache) for cache in caches()]
     chosen = os.environ.get("NUMBA_CACHE_DIR")
-    folders = [Path(chosen)] if chosen else [package, user]
-    writable = next((folder for folder in folders if _is_writable(folder)), None)
-    if writable is None:
+    folders = [*([] if chosen else [Path(reconstruction.__file__).parent]), *numba_folders()]
+    if not any(map(_is_writable, folders)):
         tried = ", ".join(map(str, folders))
         advice = "set NUMBA_CACHE_DIR to a writable folder"
-        return [Finding("numba cache", False, f"not writable: {tried}", advice)]
-    return [Finding("numba cache", True, str(writable))]
+        findings[0] = Finding(findings[0].name, False, f"not writable: {tried}", advice)
+    return findings
+
+
+def _cache(cache: CodeCache) -> Finding:
+    count, strangers = len(list(cache.files())), cache.strangers()
+    if strangers:
+        detail = f"{strangers[0]} belongs to another user, who could change the code in it"
+        return Finding(cache.name, False, detail, "set NUMBA_CACHE_DIR or DRJIT_CACHE_DIR")
+    places = _common_folder(cache.folders)
+    size = f"{cache.size_bytes() / 1e6:.1f} MB in {count} files"
+    return Finding(cache.name, True, f"{size}, {places}; to clear: {CLEAR}")
+
+
+def _common_folder(folders: tuple[Path, ...]) -> str:
+    return os.path.commonpath(folders) if folders else "no folder yet"
 
 
 def _is_writable(folder: Path) -> bool:

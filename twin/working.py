@@ -42,6 +42,9 @@ ENDING_SIGNALS: tuple[signal.Signals, ...] = tuple(
 )
 """Signals that end a command, as far as the platform has them: Windows has no SIGHUP."""
 
+BY_SIGNAL = 128
+"""The exit code of a command that a signal ended is this number plus the number of the signal."""
+
 
 class Interrupted(KeyboardInterrupt):
     """Exception that a signal raises to end the process; `number` is the number of the signal."""
@@ -87,9 +90,10 @@ def signals_held() -> Iterator[None]:
     try:
         yield
     finally:
-        _Hold.depth -= 1
-        if not _Hold.depth:
+        # The lock is released first: at depth 0 a signal would raise `Interrupted` in this block.
+        if _Hold.depth == 1:
             _Hold.gate.release()
+        _Hold.depth -= 1
         if _Hold.waiting is not None and not _Hold.depth:
             number, _Hold.waiting = _Hold.waiting, None
             raise Interrupted(number)
@@ -138,19 +142,33 @@ def end_process(code: int) -> NoReturn:
 
 
 def _end_now(number: int) -> None:
+    """Clean up and end the process, also if a step of the clean-up fails.
+
+    The main thread may be anywhere, for example in the import of a module that is needed here.
+    """
+    try:
+        for step in (_end_children, _remove_working, _free_semaphores):
+            with suppress(Exception):
+                step()
+        write_end_message(number)
+        if sys.stderr.isatty():
+            sys.stderr.write("\x1b[?25h")  # a progress bar hides the cursor
+        sys.stderr.flush()
+    finally:
+        os._exit(BY_SIGNAL + number)
+
+
+def _end_children() -> None:
     # The module is already imported if there are child processes; importing here might wait for
     # the main thread.
     processes = sys.modules.get("multiprocessing")
     for child in processes.active_children() if processes else ():
-        child.terminate()
+        child.kill()  # SIGTERM has no effect on a stopped process
+
+
+def _remove_working() -> None:
     for folder in list(_Hold.working):
         _remove(folder)
-    _free_semaphores()
-    write_end_message(number)
-    if sys.stderr.isatty():
-        sys.stderr.write("\x1b[?25h")  # a progress bar hides the cursor
-    sys.stderr.flush()
-    os._exit(128 + number)
 
 
 def _free_semaphores() -> None:
@@ -159,6 +177,13 @@ def _free_semaphores() -> None:
     util = sys.modules.get("multiprocessing.util")
     if util is not None:
         util._run_finalizers(0)
+
+
+def end_by_signal(error: KeyboardInterrupt) -> int:
+    """Report the signal that raised an exception, and return the exit code of the process."""
+    number = getattr(error, "number", signal.SIGINT)
+    write_end_message(number)
+    return BY_SIGNAL + number
 
 
 def write_end_message(number: int) -> None:

@@ -202,3 +202,13 @@ def test_every_shipped_experiment_is_valid(name):
 def test_a_quantity_without_a_source_is_refused():
     with pytest.raises(ConfigError, match="needs a source"):
         validate_experiment({"press": {"depth_mm": {"value": 1.0}}})
+
+
+def test_the_changes_of_the_caller_remain_as_they_are():
+    """A dotted path may set a key of a table that is also given."""
+    changes = {"specimen": {"kind": "bar"}, "specimen.z_mm": 0.5}
+    experiment = load_experiment("examples/slab_ball", changes)
+    assert experiment.specimen.z_mm == 0.5
+    assert changes == {"specimen": {"kind": "bar"}, "specimen.z_mm": 0.5}
+    vary(experiment, changes)
+    assert changes["specimen"] == {"kind": "bar"}

@@ -1,10 +1,12 @@
 """Scores of a handful of pixels, each figure computed by hand."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from reconstruction.arrays import Reason
 from reconstruction.errors import FitError
 from reconstruction.photometric import HeightMap
 from reconstruction.pipeline import Reconstruction
@@ -15,6 +17,7 @@ from twin.results.balls import SphereScore, region_of, score_sphere
 from twin.results.rods import RodSection, middle_of, section_of
 from twin.results.score import (
     Scores,
+    empty_warnings,
     in_world,
     metrics,
     order_warnings,
@@ -119,6 +122,19 @@ def test_wrong_orders_that_make_the_error_are_a_warning(fringes, reconstruction,
     bare = load_experiment("examples/slab_balls", {"modality": "direct_fpp"})
     (line,) = order_warnings(bare, reconstruction, truth)
     assert "stage and specimen throw on each other" in line
+
+
+def test_a_measurement_without_a_point_is_a_warning(fringes, reconstruction, truth):
+    """Of ten lit pixels seven are saturated, three dark. An exposure of 1000 s had no warning."""
+    assert empty_warnings(fringes, reconstruction, truth) == []
+    reasons = reconstruction.point_map.mask_reason
+    reasons.flat[:10] = [Reason.SATURATED] * 7 + [Reason.DARK] * 3
+    (line,) = empty_warnings(fringes, reconstruction, truth)
+    assert line.startswith("no point was measured, 70% of the pixels: saturated; ")
+    assert "camera.exposure_ms" in line
+    nowhere = replace(truth, lit=np.zeros(SHAPE, bool))
+    (line,) = empty_warnings(fringes, reconstruction, nowhere)
+    assert line.startswith("no pixel shows the lit surface")
 
 
 def test_a_bare_specimen_ought_to_be_seen_wherever_it_is(fringes, reconstruction, truth):

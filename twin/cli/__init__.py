@@ -1,28 +1,10 @@
 """Command line of the twin.
 
-Packages that take long to import are imported inside the commands.
+The signals of a command have their handlers before any package that takes long is imported: the
+commands are in `twin.cli.commands`, and import the packages that they need.
 """
 
-import gc
-import sys
-
-from reconstruction.machine import keep_freed_memory
-
-# These modules register their commands with the application.
-from twin.cli import calibration as calibration
-from twin.cli import captures as captures
-from twin.cli import dataset as dataset
-from twin.cli import forward as forward
-from twin.cli import inverse as inverse
-from twin.cli import results as results
-from twin.cli import scan as scan
-from twin.cli import start as start
-from twin.cli import studies as studies
-from twin.cli.app import app, guarded
-from twin.cli.environment import check_environment, prepare_environment
-from twin.cli.plugins import load_plugins
-from twin.cli.talk import choose_level, introduce
-from twin.working import end_process, end_within, unwind_on_signals
+from twin.working import end_by_signal, end_process, end_within, unwind_on_signals
 
 __all__ = ["main", "run"]
 
@@ -35,23 +17,29 @@ OBJECTS_PER_COLLECTION = 50_000
 
 def run(arguments: list[str] | None = None) -> int:
     """Run one command line (default: the arguments of the process) and return its exit code."""
-    words = choose_level(sys.argv[1:] if arguments is None else arguments)
-    return guarded(lambda: _dispatch(words))
+    from twin.cli.commands import run_line
 
-
-def _dispatch(words: list[str]) -> int | None:
-    check_environment()
-    introduce()
-    written = calibration.with_repeated_options(load_plugins(words))
-    done = app(written, exit_on_error=False, print_error=False, result_action="return_value")
-    return None if done is None else int(done)
+    return run_line(arguments)
 
 
 def main() -> None:
     """Entry point of the `twin` command."""
+    end_within(SIGNAL_DELAY_S)
+    try:
+        unwind_on_signals()
+        code = _prepared_run()
+    except KeyboardInterrupt as error:
+        code = end_by_signal(error)
+    end_process(code)
+
+
+def _prepared_run() -> int:
+    import gc
+
+    from reconstruction.machine import keep_freed_memory
+    from twin.cli.environment import prepare_environment
+
     prepare_environment()
     gc.set_threshold(OBJECTS_PER_COLLECTION)
     keep_freed_memory()
-    unwind_on_signals()
-    end_within(SIGNAL_DELAY_S)
-    end_process(run())
+    return run()

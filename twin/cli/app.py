@@ -8,6 +8,7 @@ import os
 import signal
 import sys
 import traceback
+import unicodedata
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
@@ -20,7 +21,7 @@ from reconstruction.machine import is_disk_full
 from reconstruction.reading import parse_toml, shown
 from twin.cli.talk import OPTIONS, verbose
 from twin.cli.talk import progress_bars as progress_bars
-from twin.working import write_end_message
+from twin.working import BY_SIGNAL, end_by_signal
 
 if TYPE_CHECKING:
     from twin.config import Experiment
@@ -30,9 +31,6 @@ BAD_INPUT, MISSING_BACKEND, FAILURE = 2, 3, 1
 # The operating system raises these errors for any access to a file name that it does not accept,
 # even for a test whether the file exists.
 _NO_SUCH_NAME = (errno.ENAMETOOLONG, errno.ELOOP)
-BY_SIGNAL = 128
-"""The exit code of a command that a signal ended is this number plus the number of the signal."""
-
 app = App(
     name="twin",
     help="Digital twin of a contact fringe-projection sensor: press, render, reconstruct, score.",
@@ -76,14 +74,15 @@ DryRun = Annotated[
 ]
 
 
-def guarded(run: Callable[[], Any]) -> int:
-    """Run a command and return its exit code; report an expected failure in one line on stderr."""
+def guarded(run: Callable[[], Any], words: Sequence[str] = ()) -> int:
+    """Run a command and return its exit code; report an expected failure in one line on stderr.
+
+    Line breaks and other control characters in `words`, the command line, are printed as escapes.
+    """
     try:
         return int(run() or 0)
     except KeyboardInterrupt as error:
-        number = getattr(error, "number", signal.SIGINT)
-        write_end_message(number)
-        return BY_SIGNAL + number
+        return end_by_signal(error)
     except BrokenPipeError:
         # The reader of the output has closed it; Python would report that again when it flushes.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -95,8 +94,15 @@ def guarded(run: Callable[[], Any]) -> int:
         if verbose():
             traceback.print_exc()
     message, code = failure
+    for word in words:
+        for name in (word, str(Path(word))):
+            message = message.replace(name, shown(name)) if _has_control(name) else message
     sys.stderr.write(f"twin: {message}\n")
     return code
+
+
+def _has_control(name: str) -> bool:
+    return any(unicodedata.category(sign) in ("Cc", "Cs", "Zl", "Zp") for sign in name)
 
 
 def _failure_message(error: Exception) -> tuple[str, int] | None:

@@ -4,6 +4,7 @@ The packages of this project read some environment variables when they are impor
 errors that do not name the variable. A command therefore checks them first.
 """
 
+import io
 import os
 import sys
 from importlib.util import find_spec
@@ -23,8 +24,9 @@ _WHOLE_NUMBERS = {VARIABLE: 1, "SOURCE_DATE_EPOCH": 0}
 
 
 def prepare_environment() -> None:
-    """Replace closed streams, draw without a screen, and allow enough open files."""
+    """Replace closed streams, print any name, draw without screen, allow enough open files."""
     _open_closed_streams()
+    _print_any_name()
     # A command draws into files. Matplotlib rejects an unknown name when it is imported.
     os.environ["MPLBACKEND"] = "agg"
     _raise_limit_of_open_files()
@@ -64,6 +66,13 @@ def _open_closed_streams() -> None:
                 os.close(null)
         if getattr(sys, name) is None:
             setattr(sys, name, os.fdopen(number, "r" if number == 0 else "w", closefd=False))
+
+
+def _print_any_name() -> None:
+    """Escape what standard output cannot encode: bytes of a name that are no UTF-8, for example."""
+    stdout = sys.stdout
+    if isinstance(stdout, io.TextIOWrapper) and stdout.errors == "strict":
+        stdout.reconfigure(errors="backslashreplace")
 
 
 def _raise_limit_of_open_files() -> None:

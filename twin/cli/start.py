@@ -20,14 +20,22 @@ from twin.cli.app import (
 
 
 @app.command
-def doctor(*, warm: bool = False) -> int:
-    """Check this machine: packages, Dr.Jit backend, LLVM or CUDA, data files, disk.
+def doctor(*, warm: bool = False, clear: Annotated[bool, Parameter(negative="")] = False) -> int:
+    """Check this machine: packages, Dr.Jit backend, LLVM or CUDA, data files, caches, disk.
 
     Parameters
     ----------
     warm
         Also compile the kernels of ordinary measurements, so that the first measurement does not.
+    clear
+        First remove all compiled kernels and the stored choice of the backend; they are made again
+        when they are needed.
     """
+    if clear:
+        from twin.caches import caches
+
+        for cache in caches():
+            say(f"{cache.name}: {cache.clear()} files removed")
     from twin.doctor import diagnose
     from twin.doctor import warm as compile_kernels
 

@@ -15,6 +15,7 @@ machine.
 import difflib
 import math
 from collections.abc import Iterator, Mapping
+from copy import deepcopy
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import Any
@@ -325,7 +326,8 @@ def _assign_all(tree: dict[str, Any], changes: Mapping[str, Any]) -> None:
     require_instance("changes", changes, Mapping, remedy)
     for dotted, value in changes.items():
         require_instance("path of a change", dotted, str, remedy)
-        _assign(tree, dotted, value)
+        # A copy: a later change may set a key of this table, which belongs to the caller.
+        _assign(tree, dotted, deepcopy(value))
 
 
 def _assign(tree: dict[str, Any], dotted: str, value: Any) -> None:

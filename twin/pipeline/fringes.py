@@ -38,7 +38,7 @@ from twin.results.layout import layout_warnings
 from twin.results.motion import motion_warnings, predicted_motion_figures
 from twin.results.parts import taken_figures
 from twin.results.record import Fringes, Measurement, Recording
-from twin.results.score import metrics, order_warnings, score
+from twin.results.score import empty_warnings, metrics, order_warnings, score
 from twin.results.sequence import sequence_warnings
 from twin.results.under_sheet import sheet_compensation
 
@@ -133,6 +133,7 @@ def evaluate(
     figures["warnings"] += layout_warnings(experiment)
     figures["warnings"] += motion_warnings(experiment, recording.radiance.motion)
     figures["warnings"] += sequence_warnings(experiment, recording.exposure_ms)
+    figures["warnings"] += empty_warnings(experiment, reconstruction, recording.truth)
     figures["warnings"] += order_warnings(experiment, reconstruction, recording.truth)
     return Measurement(
         experiment=experiment,

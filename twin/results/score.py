@@ -11,7 +11,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.arrays import BoolImage, FloatArray, FloatImage, at_pixels
+from reconstruction.arrays import BoolImage, FloatArray, FloatImage, Reason, at_pixels
 from reconstruction.errors import FitError
 from reconstruction.evaluate.fit import (
     mean,
@@ -259,6 +259,35 @@ def _of_another_period(
         limit_px = patterns.period_along(axis) / (2 if patterns.steps else 1)
         wrong |= np.abs(decoded - true_px) >= limit_px
     return wrong
+
+
+def empty_warnings(
+    experiment: Experiment, reconstruction: Reconstruction, truth: Truth
+) -> list[str]:
+    """Return a one-line warning with the most frequent reason if no target pixel has a point."""
+    wanted = wanted_pixels(experiment, truth)
+    reasons = reconstruction.point_map.mask_reason[wanted]
+    if not reasons.size:
+        return ["no pixel shows the lit surface: turn or move camera and projector (twin layout)"]
+    if (reasons == Reason.VALID).any():
+        return []
+    counts = np.bincount(reasons)
+    main = Reason(int(counts.argmax()))
+    share = counts[main] / reasons.size
+    name = main.name.lower().replace("_", " ")
+    return [f"no point was measured, {share:.0%} of the pixels: {name}; {_ADVICE[main]}"]
+
+
+_LONGER = "set camera.exposure_ms = 'auto' or a longer one, or use more light (projector.flux_mw)"
+_CODE = "use fewer fringes or more phase steps (patterns.period_px, patterns.steps)"
+_GEOMETRY = "turn or move camera and projector (twin layout)"
+_ADVICE = dict.fromkeys(Reason, _GEOMETRY) | {
+    Reason.DARK: _LONGER,
+    Reason.LOW_MODULATION: _LONGER,
+    Reason.SATURATED: "set camera.exposure_ms = 'auto' or a shorter one",
+    Reason.ORDER_UNCERTAIN: _CODE,
+    Reason.MOTION: "let the specimen rest, or raise decode.max_residual_sigmas",
+}
 
 
 def order_warnings(

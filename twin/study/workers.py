@@ -212,7 +212,7 @@ class _LimitedPool(ProcessPoolExecutor):
             _fail_blocked_writer(queue)
         if isinstance(sys.exc_info()[1], KeyboardInterrupt):  # do not wait for running batches
             for child in multiprocessing.active_children():
-                child.terminate()
+                child.kill()  # SIGTERM has no effect on a stopped process
         super().shutdown(wait, cancel_futures=cancel_futures)
 
 
