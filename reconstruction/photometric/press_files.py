@@ -84,12 +84,13 @@ class DescribedPresses:
     doubts: tuple[str, ...]
     dots: SensorDots | None = None
 
-    def measure(self, file: Path) -> PhotometricResult:
+    def measure(self, file: Path, previous: GelMotion | None = None) -> PhotometricResult:
         """Return the measurement of one press.
 
         Parameters
         ----------
         file : image of the press, an element of `files`
+        previous : displacements in the frame before, with `dots.sequence`; without it no effect
 
         Raises
         ------
@@ -107,7 +108,8 @@ class DescribedPresses:
         motion = None
         if self.dots is not None:
             drift_mm = untouched_drift_mm(height_map, untouched.where) or 0.0
-            motion = self.dots.tracked(image, height_map, drift_mm)
+            before = previous if self.dots.options.sequence else None
+            motion = self.dots.tracked(image, height_map, drift_mm, before)
         calibration = self.decoder.calibration
         return PhotometricResult(image, calibration, height_map, untouched, doubts, motion)
 

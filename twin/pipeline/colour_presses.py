@@ -140,15 +140,16 @@ def _one(presses: DescribedPresses, folder: Path) -> ColourOutcome:
 def _several(presses: DescribedPresses, folder: Path, watch: ProgressCallback) -> ColourOutcome:
     rows: list[dict[str, Any]] = []
     heights: dict[str, HeightMap] = {}
-    doubts = list(presses.doubts)
+    doubts, motion = list(presses.doubts), None
     for number, file in enumerate(presses.files):
         name = f"{number:03d}_{file.stem}"
         try:
-            result = presses.measure(file)
+            result = presses.measure(file, motion)
         except InputError as error:
             rows.append({"press": name, "refused": str(error)})
             doubts.append(str(error))
             continue
+        motion = result.motion or motion
         own = [doubt for doubt in result.doubts if doubt not in presses.doubts]
         doubts += [f"{file.name}: {doubt}" for doubt in own]
         rows.append({"press": name} | press_figures(result) | {"doubt": " ".join(own)})
