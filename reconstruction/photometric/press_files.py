@@ -27,7 +27,6 @@ from reconstruction.photometric.press_description import (
 from reconstruction.photometric.press_doubts import (
     doubts_of_background,
     doubts_of_image,
-    untouched_drift_mm,
 )
 from reconstruction.photometric.printed_dots import GelMotion, SensorDots
 from reconstruction.photometric.rest_surface import RestSurface
@@ -107,9 +106,8 @@ class DescribedPresses:
         doubts = self.doubts + doubts_of_image(height_map, untouched)
         motion = None
         if self.dots is not None:
-            drift_mm = untouched_drift_mm(height_map, untouched.where) or 0.0
             before = previous if self.dots.options.sequence else None
-            motion = self.dots.tracked(image, height_map, drift_mm, before)
+            motion = self.dots.tracked(image, height_map, untouched.where, before)
         calibration = self.decoder.calibration
         return PhotometricResult(image, calibration, height_map, untouched, doubts, motion)
 

@@ -22,6 +22,7 @@ from reconstruction.markers import (
     track,
 )
 from reconstruction.photometric.height_map import HeightMap
+from reconstruction.photometric.press_doubts import untouched_drift_mm
 from reconstruction.photometric.rest_surface import RestSurface
 
 # Distance of neighbouring samples of the smooth field, px.
@@ -99,19 +100,22 @@ class SensorDots:
         self,
         image: Levels,
         height_map: HeightMap,
-        height_sigma_mm: float = 0.0,
+        untouched: BoolImage,
         previous: "GelMotion | None" = None,
     ) -> "GelMotion":
         """Return the displacements of the dots in the image of a press (row, col, 3).
 
+        The standard uncertainty of the heights is the RMS height of undeformed gel.
+
         Parameters
         ----------
-        height_sigma_mm : standard uncertainty of the heights
+        untouched : (row, col) bool, pixels of undeformed gel
         previous : displacements in the frame before of a sequence; None: there is none
         """
         before = None if previous is None else previous.tracks
         tracks = track(self.pattern, linear_light(image, self.options.gamma), before)
-        return gel_motion(tracks, height_map, self.options.view_distance_mm, height_sigma_mm)
+        drift_mm = untouched_drift_mm(height_map, untouched) or 0.0
+        return gel_motion(tracks, height_map, self.options.view_distance_mm, drift_mm)
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,8 +157,8 @@ class GelMotion:
         on_gel = _on_gel_mm(places.astype(np.float64), self.shape, self.pitch_mm)
         if self.rest is not None:
             on_gel = self.rest.points_mm[places[:, 0], places[:, 1], :2].astype(np.float64)
-        moved, sigma = (of.reshape(rows.size, cols.size, 2) for of in smooth.at(on_gel))
-        return GelMotionField(rows, cols, moved, sigma)
+        arrays = (of.reshape(rows.size, cols.size, 2) for of in (on_gel, *smooth.at(on_gel)))
+        return GelMotionField(rows, cols, *arrays)
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,11 +168,13 @@ class GelMotionField:
     Attributes
     ----------
     rows, cols : image rows and columns of the grid
+    places_mm : (row, col, xy) places without contact
     moved_mm, sigma_mm : (row, col, xy) displacement and its standard uncertainty
     """
 
     rows: IntArray
     cols: IntArray
+    places_mm: FloatArray
     moved_mm: FloatArray
     sigma_mm: FloatArray
 

@@ -8,9 +8,10 @@ from typing import Any
 from reconstruction.photometric.pictures import draw_heights
 from reconstruction.reading import read_bytes
 from reconstruction.writing import write_bytes
-from twin.pipeline.colour_presses import DOTS_PICTURE, PRESSES_FOLDER, ColourOutcome
+from twin.pipeline.colour_presses import PRESSES_FOLDER, ColourOutcome
 from twin.report.page import REPORT_FILE, Block, Figure, Gallery, Note, Page, Section, write_page
 from twin.report.table import Column, Row, Table
+from twin.results.dot_figures import DOTS_PICTURE
 
 _MOST_DOT_PICTURES = 12
 _HEIGHTS = (
