@@ -223,7 +223,11 @@ def _calibrated(
             presses.append(BallPress(image, balls.diameter_mm, hidden))
     if not presses:
         raise CaptureError(f"no calibration image can be read; the first: {refused[0]}")
-    calibration = calibrate_sensor(presses, backgrounds, how.pitch_mm, how.map, how.samples)
+    rows, cols = backgrounds[0].shape[:2]
+    rest = how.rest((rows, cols))
+    calibration = calibrate_sensor(
+        presses, backgrounds, how.pitch_mm, how.map, how.samples, rest=rest
+    )
     return calibration, tuple(f"calibration without {line}" for line in refused)
 
 

@@ -21,7 +21,6 @@ from twin.config.layers import holding_layer, raised_mm
 from twin.mechanics import PressedElastomer, material_points
 from twin.optics.stack import Truth
 from twin.results.dot_figures import dot_figures
-from twin.results.figures import Metric
 
 NO_DOTS = (
     "photometric.markers: found fewer than six similar dots in the image without contact, so their"
@@ -82,13 +81,13 @@ class MeasuredDots:
         return (NO_DOTS,) if self.motion is None else ()
 
     @property
-    def figures(self) -> dict[str, Metric]:
+    def figures(self) -> dict[str, float]:
         """Figures of the dots by name: those of `dot_figures`, and errors against the truth.
 
         Errors are those of the tracked dots, and of the field between them. A normalised error is
         the RMS of error over standard uncertainty, 1 if the uncertainty is right.
         """
-        figures: dict[str, Metric] = {"dots_in_image": self.in_image, "dots_tracked": 0}
+        figures: dict[str, float] = {"dots_in_image": self.in_image, "dots_tracked": 0}
         if self.motion is None:
             return figures  # `warnings` states the reason
         figures |= dot_figures(self.motion)
