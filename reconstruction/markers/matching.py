@@ -8,14 +8,18 @@ place. At the end all assignments are made again as one problem (Hungarian metho
 prediction from the neighbours of each dot.
 
 The first assignments are of dots that hardly move relative to the whole: the common displacement is
-the one that most dots share, the smallest if several are equal.
+the one that most dots share, the smallest if several are equal. A second solution starts with the
+dots that are next to their places by `drift`. The result is the solution with the smaller sum of
+squared distances from the predictions.
 """
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial import KDTree
+from scipy.spatial.distance import cdist
 
 from reconstruction.arrays import BoolArray, FloatArray, IntArray
+from reconstruction.markers.drift import drifted
 
 # Distances in units of the spacing: of the neighbours of a dot; of certain dots from the common
 # displacement; of an accepted dot from its predicted place; of dots with one displacement.
@@ -28,24 +32,32 @@ _NEAR_MEAN = 1.6
 UNASSIGNED = -1
 
 
-def assign(before_px: FloatArray, after_px: FloatArray, spacing_px: float) -> IntArray:
+def assign(
+    before_px: FloatArray,
+    after_px: FloatArray,
+    spacing_px: float,
+    expected_px: FloatArray | None = None,
+) -> IntArray:
     """Return for each dot before the index of the same dot after, or `UNASSIGNED`, (dot,).
 
     Parameters
     ----------
     before_px, after_px : (n, 2) and (m, 2), centres of dots, row and column
     spacing_px : distance of neighbouring dots
+    expected_px : (n, 2) displacements, for example those of the frame before; None: 0
     """
     if not len(before_px) or not len(after_px):
         return np.full(len(before_px), UNASSIGNED, np.int64)
+    first_px = np.zeros_like(before_px) if expected_px is None else expected_px
+    first_px = first_px + _common_displacement(before_px + first_px, after_px, spacing_px)
     neighbours = _Neighbours(before_px, spacing_px)
-    found = _certain(before_px, after_px, spacing_px)
-    for _ in range(len(before_px)):
-        grown = _grown(neighbours, after_px, found, spacing_px)
-        if np.array_equal(grown, found):
-            break
-        found = grown
-    return _assigned_at_once(neighbours, after_px, found, spacing_px)
+    certain = _mutual(before_px + first_px, after_px, _CERTAIN * spacing_px)
+    places = before_px + drifted(before_px, after_px, spacing_px, first_px)
+    grown = _fully_grown(neighbours, after_px, certain, spacing_px)
+    near = _mutual(places, after_px, _GATE * spacing_px)
+    starts = [grown] if np.array_equal(grown, near) else [grown, near]
+    solutions = [_assigned_at_once(neighbours, after_px, start, spacing_px) for start in starts]
+    return min(solutions, key=lambda found: _cost(neighbours, after_px, found, spacing_px))
 
 
 def deviation_from_neighbours(
@@ -67,6 +79,26 @@ def deviation_from_neighbours(
         if expected is not None:
             off_px[dot] = np.hypot(*(moved_px[dot] - expected))
     return off_px
+
+
+def filled_from_neighbours(
+    before_px: FloatArray, moved_px: FloatArray, known: BoolArray, spacing_px: float
+) -> FloatArray:
+    """Return displacements (dot, 2) px in which unknown ones follow from their neighbours.
+
+    A dot without known neighbours has the displacement of the nearest known dot.
+
+    Parameters
+    ----------
+    moved_px : (dot, 2), displacements
+    known : dots that have a displacement, at least one
+    """
+    neighbours, filled = _Neighbours(before_px, spacing_px), moved_px.copy()
+    nearest = np.flatnonzero(known)[KDTree(before_px[known]).query(before_px)[1]]
+    for dot in np.flatnonzero(~known):
+        expected = neighbours.predicted(int(dot), moved_px, known)
+        filled[dot] = moved_px[nearest[dot]] if expected is None else expected
+    return filled
 
 
 class _Neighbours:
@@ -117,12 +149,6 @@ def _robust_constant(offset: FloatArray, weight: FloatArray, moved: FloatArray) 
     return np.asarray(fit[0])
 
 
-def _certain(before_px: FloatArray, after_px: FloatArray, spacing_px: float) -> IntArray:
-    """Return the assignments near the displacement that most dots have in common."""
-    common = _common_displacement(before_px, after_px, spacing_px)
-    return _mutual(before_px + common, after_px, _CERTAIN * spacing_px)
-
-
 def _common_displacement(
     before_px: FloatArray, after_px: FloatArray, spacing_px: float
 ) -> FloatArray:
@@ -146,6 +172,18 @@ def _mutual(places_px: FloatArray, after_px: FloatArray, reach_px: float) -> Int
     back = KDTree(places_px).query(after_px)[1]
     mutual = (back[nearest] == np.arange(len(places_px))) & (distance < reach_px)
     return np.where(mutual, nearest, UNASSIGNED).astype(np.int64)
+
+
+def _fully_grown(
+    neighbours: _Neighbours, after_px: FloatArray, found: IntArray, spacing_px: float
+) -> IntArray:
+    """Return the assignments, continued to all dots that neighbours predict."""
+    for _ in range(len(found)):
+        grown = _grown(neighbours, after_px, found, spacing_px)
+        if np.array_equal(grown, found):
+            break
+        found = grown
+    return found
 
 
 def _grown(
@@ -186,13 +224,32 @@ def _assigned_at_once(
 
     A dot without a partner within the gate costs as much as one at the gate.
     """
-    gate = _GATE * spacing_px
     for _ in range(2):
-        places, has = _predictions(neighbours, after_px, found)
-        apart = np.linalg.norm(places[:, None] - after_px[None], axis=2)
-        cost = np.where(has[:, None], np.minimum(apart, gate), gate) ** 2
+        cost, near = _costs(neighbours, after_px, found, spacing_px)
         before, after = linear_sum_assignment(cost)
-        near = has[before] & (apart[before, after] < gate)
-        found = np.full(len(places), UNASSIGNED, np.int64)
-        found[before[near]] = after[near]
+        found = np.full(len(found), UNASSIGNED, np.int64)
+        chosen = near[before, after]
+        found[before[chosen]] = after[chosen]
     return found
+
+
+def _cost(
+    neighbours: _Neighbours, after_px: FloatArray, found: IntArray, spacing_px: float
+) -> float:
+    cost = _costs(neighbours, after_px, found, spacing_px)[0]
+    known = np.flatnonzero(found != UNASSIGNED)
+    lost = len(found) - len(known)
+    return float(cost[known, found[known]].sum()) + lost * (_GATE * spacing_px) ** 2
+
+
+def _costs(
+    neighbours: _Neighbours, after_px: FloatArray, found: IntArray, spacing_px: float
+) -> tuple[FloatArray, BoolArray]:
+    """Return squared distances (n, m) from the predictions, at most the gate's, and the near ones.
+
+    The predictions follow from the assignments of the neighbours.
+    """
+    gate = _GATE * spacing_px
+    places, has = _predictions(neighbours, after_px, found)
+    apart = np.where(has[:, None], cdist(places, after_px), gate)
+    return np.minimum(apart, gate) ** 2, apart < gate

@@ -14,7 +14,12 @@ from reconstruction.arrays import BoolArray, FloatArray, ReasonImage
 from reconstruction.errors import InputError
 from reconstruction.markers.detection import DotPattern, find_alike, find_pattern
 from reconstruction.markers.fitting import FittedDots
-from reconstruction.markers.matching import UNASSIGNED, assign, deviation_from_neighbours
+from reconstruction.markers.matching import (
+    UNASSIGNED,
+    assign,
+    deviation_from_neighbours,
+    filled_from_neighbours,
+)
 
 # Largest deviation of a displacement from its neighbours' ones, in spacings: an elastomer in one
 # piece is smoother, even at the edge of a contact.
@@ -61,18 +66,24 @@ class DotTracks:
         return np.asarray(self.status == DotStatus.TRACKED)
 
 
-def track(before: FloatArray | DotPattern, after: FloatArray) -> DotTracks:
+def track(
+    before: FloatArray | DotPattern, after: FloatArray, previous: DotTracks | None = None
+) -> DotTracks:
     """Return the displacements of the printed dots between two linear images of one camera.
+
+    Without `previous`, displacements may reach half the spacing; with it, displacements may have
+    any size, if they change by less than half the spacing from one frame to the next.
 
     Parameters
     ----------
     before : (row, col) image without contact, proportional to the light, or its `find_pattern`
     after : (row, col) image of the press
+    previous : tracks of the frame before, by the same dots without contact; None: there is none
 
     Raises
     ------
     FitError : the image without contact has fewer than six similar dots
-    InputError : the images have different shapes
+    InputError : the images have different shapes, or `previous` has other dots
     """
     if isinstance(before, DotPattern):
         pattern = before
@@ -81,7 +92,8 @@ def track(before: FloatArray | DotPattern, after: FloatArray) -> DotTracks:
     else:
         pattern = find_pattern(before)
     dots, pressed = pattern.dots, find_alike(after, pattern)
-    partner = assign(dots.centres_px, pressed.centres_px, pattern.spacing_px)
+    expected_px = None if previous is None else _expected(previous, pattern)
+    partner = assign(dots.centres_px, pressed.centres_px, pattern.spacing_px, expected_px)
     found = partner != UNASSIGNED
     moved, sigma = np.zeros_like(dots.centres_px), np.zeros_like(dots.centres_px)
     moved[found] = pressed.centres_px[partner[found]] - dots.centres_px[found]
@@ -90,3 +102,20 @@ def track(before: FloatArray | DotPattern, after: FloatArray) -> DotTracks:
     off_px = deviation_from_neighbours(dots.centres_px, moved, found, pattern.spacing_px)
     status[found & (off_px > _LARGEST_DEVIATION * pattern.spacing_px)] = DotStatus.DOUBTFUL
     return DotTracks(pattern, pressed, moved, sigma, status)
+
+
+def _expected(previous: DotTracks, pattern: DotPattern) -> FloatArray | None:
+    """Return the displacements (dot, 2) px of the frame before, of LOST dots by their neighbours.
+
+    None if no dot was tracked.
+    """
+    if previous.places_px.shape != pattern.dots.centres_px.shape:
+        raise InputError(
+            f"previous tracks have {len(previous.places_px)} dots, the image without contact "
+            f"{len(pattern.dots.centres_px)}; track both frames from one pattern"
+        )
+    if not previous.tracked.any():
+        return None
+    return filled_from_neighbours(
+        previous.places_px, previous.moved_px, previous.tracked, pattern.spacing_px
+    )

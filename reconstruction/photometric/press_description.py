@@ -11,6 +11,8 @@
     [[calibrate.balls]]
     diameter_mm = 6.31
     images = ["ball_00.png", "ball_01.png"]
+    [calibrate.dome]                           # optional, for a domed gel: Dome
+    radius_mm = 40.0
 
     [frame]                                    # optional: crop and resize of camera frames
     crop_share = 0.15
@@ -37,6 +39,7 @@ from reconstruction.colour_maps import DEFAULT_MAP, map_named
 from reconstruction.errors import CaptureError, InputError, require_integer, require_number
 from reconstruction.photometric.calibration_ball import SampleOptions
 from reconstruction.photometric.printed_dots import DotOptions
+from reconstruction.photometric.rest_surface import RestSurface
 from reconstruction.photometric.sensor import PhotometricOptions
 
 Names = tuple[str, ...]
@@ -81,6 +84,25 @@ class Balls:
 
 
 @dataclass(frozen=True)
+class Dome:
+    """Undeformed coat of a domed gel, the table [calibrate.dome]: a sphere about the middle.
+
+    Parameters
+    ----------
+    radius_mm : radius of the coat
+    view_distance_mm : distance of the camera's pupil from the apex in air, times the refractive
+        index of the gel; 0: the lines of sight are parallel
+    """
+
+    radius_mm: float
+    view_distance_mm: float = 0.0
+
+    def __post_init__(self) -> None:
+        require_number("radius_mm", self.radius_mm, 0.0, open_low=True)
+        require_number("view_distance_mm", self.view_distance_mm, 0.0, 10_000.0)
+
+
+@dataclass(frozen=True)
 class Calibrate:
     """Images and options of a calibration, the table [calibrate] of the file.
 
@@ -93,6 +115,7 @@ class Calibrate:
     threshold_levels: float = 15.0
     smoothing_px: int = 3
     marker_level: int = 0
+    dome: Dome | None = None
 
     def __post_init__(self) -> None:
         require_number("pitch_mm", self.pitch_mm, 0.0, open_low=True)
@@ -102,6 +125,18 @@ class Calibrate:
     def samples(self) -> SampleOptions:
         """Options for collecting samples from the calibration images."""
         return SampleOptions(self.threshold_levels, self.smoothing_px, self.marker_level)
+
+    def rest(self, shape: tuple[int, int]) -> RestSurface | None:
+        """Return the undeformed coat of images with these rows and columns; None: it is flat.
+
+        Raises
+        ------
+        InputError : the dome does not fill the image
+        """
+        if self.dome is None:
+            return None
+        dome = self.dome
+        return RestSurface.of_sphere(shape, self.pitch_mm, dome.radius_mm, dome.view_distance_mm)
 
 
 @dataclass(frozen=True)
@@ -165,7 +200,10 @@ def _calibrate(table: Mapping[str, Any]) -> Calibrate:
     if not isinstance(given, list) or not given or not all(isinstance(b, dict) for b in given):
         raise CaptureError("[[calibrate.balls]] is missing; give a diameter_mm and its images")
     balls = tuple(build(Balls, ball, "calibrate.balls") for ball in given)
-    return build(Calibrate, dict(table) | {"balls": balls}, "calibrate")
+    parts: dict[str, Any] = {"balls": balls}
+    if "dome" in table:
+        parts["dome"] = build(Dome, table_of(table, "dome"), "calibrate.dome")
+    return build(Calibrate, dict(table) | parts, "calibrate")
 
 
 def _names(key: str, names: object, least: int = 1) -> Names:

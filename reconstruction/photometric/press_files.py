@@ -27,7 +27,6 @@ from reconstruction.photometric.press_description import (
 from reconstruction.photometric.press_doubts import (
     doubts_of_background,
     doubts_of_image,
-    untouched_drift_mm,
 )
 from reconstruction.photometric.printed_dots import GelMotion, SensorDots
 from reconstruction.photometric.rest_surface import RestSurface
@@ -84,12 +83,13 @@ class DescribedPresses:
     doubts: tuple[str, ...]
     dots: SensorDots | None = None
 
-    def measure(self, file: Path) -> PhotometricResult:
+    def measure(self, file: Path, previous: GelMotion | None = None) -> PhotometricResult:
         """Return the measurement of one press.
 
         Parameters
         ----------
         file : image of the press, an element of `files`
+        previous : displacements in the frame before, with `dots.sequence`; without it no effect
 
         Raises
         ------
@@ -106,8 +106,8 @@ class DescribedPresses:
         doubts = self.doubts + doubts_of_image(height_map, untouched)
         motion = None
         if self.dots is not None:
-            drift_mm = untouched_drift_mm(height_map, untouched.where) or 0.0
-            motion = self.dots.tracked(image, height_map, drift_mm)
+            before = previous if self.dots.options.sequence else None
+            motion = self.dots.tracked(image, height_map, untouched.where, before)
         calibration = self.decoder.calibration
         return PhotometricResult(image, calibration, height_map, untouched, doubts, motion)
 
@@ -223,7 +223,11 @@ def _calibrated(
             presses.append(BallPress(image, balls.diameter_mm, hidden))
     if not presses:
         raise CaptureError(f"no calibration image can be read; the first: {refused[0]}")
-    calibration = calibrate_sensor(presses, backgrounds, how.pitch_mm, how.map, how.samples)
+    rows, cols = backgrounds[0].shape[:2]
+    rest = how.rest((rows, cols))
+    calibration = calibrate_sensor(
+        presses, backgrounds, how.pitch_mm, how.map, how.samples, rest=rest
+    )
     return calibration, tuple(f"calibration without {line}" for line in refused)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from scipy import ndimage
 
 from reconstruction.arrays import BoolImage, FloatArray, FloatImage, IntArray, Levels
-from reconstruction.errors import require_number
+from reconstruction.errors import InputError, require_number
 from reconstruction.markers import (
     DotPattern,
     DotTracks,
@@ -22,6 +22,8 @@ from reconstruction.markers import (
     track,
 )
 from reconstruction.photometric.height_map import HeightMap
+from reconstruction.photometric.press_doubts import untouched_drift_mm
+from reconstruction.photometric.rest_surface import RestSurface
 
 # Distance of neighbouring samples of the smooth field, px.
 _EVERY = 4
@@ -37,6 +39,8 @@ class DotOptions:
     view_distance_mm : apparent distance of the camera's pupil from the gel, which is the distance
         in air times the refractive index of the gel; 0: unknown, displacements are those that
         appear in the image
+    sequence : the images are consecutive frames of one press: displacements may have any size, if
+        they change by less than half the spacing of the dots from one frame to the next
 
     Raises
     ------
@@ -45,8 +49,11 @@ class DotOptions:
 
     gamma: float = 1.0
     view_distance_mm: float = 0.0
+    sequence: bool = False
 
     def __post_init__(self) -> None:
+        if not isinstance(self.sequence, bool):
+            raise InputError(f"sequence is {self.sequence!r}; give true or false")
         require_number("gamma", self.gamma, 0.3, 4.0)
         require_number("view_distance_mm", self.view_distance_mm, 0.0, 10_000.0)
 
@@ -90,16 +97,25 @@ class SensorDots:
         return self.background | covered_pixels(light, self.pattern, self.margin_px)
 
     def tracked(
-        self, image: Levels, height_map: HeightMap, height_sigma_mm: float = 0.0
+        self,
+        image: Levels,
+        height_map: HeightMap,
+        untouched: BoolImage,
+        previous: "GelMotion | None" = None,
     ) -> "GelMotion":
         """Return the displacements of the dots in the image of a press (row, col, 3).
 
+        The standard uncertainty of the heights is the RMS height of undeformed gel.
+
         Parameters
         ----------
-        height_sigma_mm : standard uncertainty of the heights
+        untouched : (row, col) bool, pixels of undeformed gel
+        previous : displacements in the frame before of a sequence; None: there is none
         """
-        tracks = track(self.pattern, linear_light(image, self.options.gamma))
-        return gel_motion(tracks, height_map, self.options.view_distance_mm, height_sigma_mm)
+        before = None if previous is None else previous.tracks
+        tracks = track(self.pattern, linear_light(image, self.options.gamma), before)
+        drift_mm = untouched_drift_mm(height_map, untouched) or 0.0
+        return gel_motion(tracks, height_map, self.options.view_distance_mm, drift_mm)
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +130,7 @@ class GelMotion:
     sigma_mm : (dot, xy) standard uncertainties, from those of the centres and of the height
     pitch_mm : distance of neighbouring pixels on the gel
     shape : rows and columns of the images
+    rest : undeformed coat of a domed gel; None: the gel is flat
     """
 
     tracks: DotTracks
@@ -122,6 +139,7 @@ class GelMotion:
     sigma_mm: FloatArray
     pitch_mm: float
     shape: tuple[int, int]
+    rest: RestSurface | None = None
 
     def field(self) -> "GelMotionField":
         """Return the smooth field of the tracked dots at every fourth row and column.
@@ -137,8 +155,10 @@ class GelMotion:
         rows, cols = (np.arange(_EVERY // 2, size, _EVERY) for size in self.shape)
         places = np.stack(np.meshgrid(rows, cols, indexing="ij"), axis=-1).reshape(-1, 2)
         on_gel = _on_gel_mm(places.astype(np.float64), self.shape, self.pitch_mm)
-        moved, sigma = (of.reshape(rows.size, cols.size, 2) for of in smooth.at(on_gel))
-        return GelMotionField(rows, cols, moved, sigma)
+        if self.rest is not None:
+            on_gel = self.rest.points_mm[places[:, 0], places[:, 1], :2].astype(np.float64)
+        arrays = (of.reshape(rows.size, cols.size, 2) for of in (on_gel, *smooth.at(on_gel)))
+        return GelMotionField(rows, cols, *arrays)
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,11 +168,13 @@ class GelMotionField:
     Attributes
     ----------
     rows, cols : image rows and columns of the grid
+    places_mm : (row, col, xy) places without contact
     moved_mm, sigma_mm : (row, col, xy) displacement and its standard uncertainty
     """
 
     rows: IntArray
     cols: IntArray
+    places_mm: FloatArray
     moved_mm: FloatArray
     sigma_mm: FloatArray
 
@@ -163,30 +185,46 @@ def gel_motion(
     view_distance_mm: float,
     height_sigma_mm: float = 0.0,
 ) -> GelMotion:
-    """Return the displacements in mm on the gel.
+    """Return the displacements in mm on the gel; on a dome, along x and y of the imaged points.
 
     Parameters
     ----------
-    view_distance_mm : see `DotOptions`
+    view_distance_mm : see `DotOptions`; the lines of sight of a dome replace it
     height_sigma_mm : standard uncertainty of the heights; it has no effect on the displacements
         that appear in the image, without `view_distance_mm`
     """
-    pitch_mm = height_map.pitch_mm
+    pitch_mm, shape = height_map.pitch_mm, height_map.height_mm.shape
     before, after = tracks.places_px, tracks.places_px + tracks.moved_px
-    nearer, nearer_sigma = np.zeros(len(before)), 0.0
-    if view_distance_mm:
-        nearer_sigma = height_sigma_mm / view_distance_mm
-        height = height_map.height_mm.astype(np.float64)
-        nearer = ndimage.map_coordinates(height, after.T, order=1, mode="nearest")
-        nearer /= view_distance_mm
-    rows, cols = height_map.height_mm.shape
-    shape = rows, cols
-    places_mm = _on_gel_mm(before, shape, pitch_mm)
-    moved = _on_gel_mm(after, shape, pitch_mm) * (1.0 - nearer[:, None]) - places_mm
-    sigma_mm = np.hypot(pitch_mm * tracks.sigma_px[:, ::-1], nearer_sigma * places_mm)
+    if height_map.rest is not None:
+        imaged = height_map.rest.points_at(height_map.height_mm)[..., :2]
+        places_mm = _interpolated(height_map.rest.points_mm[..., :2], before)
+        moved = _interpolated(imaged, after) - places_mm
+        down, right = (
+            _interpolated(part[..., None], after)[:, 0] for part in height_map.rest.sight
+        )
+        per_height = np.column_stack([right, down])
+    else:
+        nearer, per_height = np.zeros((len(before), 1)), np.zeros((len(before), 2))
+        places_mm = _on_gel_mm(before, shape, pitch_mm)
+        if view_distance_mm:
+            nearer = _interpolated(height_map.height_mm[..., None], after) / view_distance_mm
+            per_height = places_mm / view_distance_mm
+        moved = _on_gel_mm(after, shape, pitch_mm) * (1.0 - nearer) - places_mm
+    sigma_mm = np.hypot(pitch_mm * tracks.sigma_px[:, ::-1], height_sigma_mm * per_height)
     lost = tracks.sigma_px[:, 0] == 0.0
     moved[lost] = sigma_mm[lost] = 0.0
-    return GelMotion(tracks, places_mm, moved, sigma_mm, pitch_mm, shape)
+    rows, cols = shape
+    return GelMotion(tracks, places_mm, moved, sigma_mm, pitch_mm, (rows, cols), height_map.rest)
+
+
+def _interpolated(image: FloatArray | FloatImage, places_px: FloatArray) -> FloatArray:
+    """Return the channels (n, channel) of an image (row, col, channel) at places (n, 2)."""
+    channels = np.moveaxis(image.astype(np.float64), -1, 0)
+    values = [
+        ndimage.map_coordinates(channel, places_px.T, order=1, mode="nearest")
+        for channel in channels
+    ]
+    return np.stack(values, axis=-1)
 
 
 def _on_gel_mm(places_px: FloatArray, shape: tuple[int, ...], pitch_mm: float) -> FloatArray:

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.arrays import FloatArray, FloatImage
-from reconstruction.errors import InputError
+from reconstruction.errors import InputError, require_number
 
 # Frame and unit of each array of `RestSurface`, for files.
 _MEANING = {
@@ -65,6 +65,40 @@ class RestSurface:
                 )
             if not bool(np.all(np.isfinite(values))):
                 raise InputError(f"rest surface: {name} has values that are not finite")
+
+    @classmethod
+    def of_sphere(
+        cls,
+        shape: tuple[int, int],
+        pitch_mm: float,
+        radius_mm: float,
+        view_distance_mm: float = 0.0,
+    ) -> "RestSurface":
+        """Return a spherical dome whose apex is in the middle of the image, at z = 0.
+
+        Parameters
+        ----------
+        shape : rows and columns of the images
+        pitch_mm : distance on the plane z = 0 of the points that adjacent pixels image
+        radius_mm : radius of the undeformed coat, which bulges away from the camera
+        view_distance_mm : distance D of the pinhole from z = 0 inside the gel, which is the
+            distance in air times the refractive index of the gel; 0: a telecentric camera
+
+        Raises
+        ------
+        InputError : a value is out of range, or the sphere does not fill the image
+        """
+        require_number("radius_mm", radius_mm, 0.0, open_low=True)
+        require_number("view_distance_mm", view_distance_mm, 0.0, 10_000.0)
+        rows, cols = shape
+        row, col = np.indices(shape, dtype=np.float64)
+        level = pitch_mm * np.stack([row - (rows - 1) / 2, col - (cols - 1) / 2])
+        per_mm = 1.0 / view_distance_mm if view_distance_mm else 0.0
+        height = _height_of_sphere(np.sum(level**2, axis=0), radius_mm, per_mm)
+        down, right = level * (1.0 - height * per_mm)
+        slopes = np.stack([down, right]) / (radius_mm - height)
+        parts = np.stack([right, -down, height], axis=-1), slopes, -level * per_mm
+        return cls(*(part.astype(np.float32) for part in parts))
 
     def points_at(self, height_mm: FloatImage) -> FloatArray:
         """Return the imaged points (row, col, xyz), mm, of a coat with heights (row, col), mm."""
@@ -143,3 +177,31 @@ class RestSurface:
         if any(part.shape != parts[0].shape or part.ndim != 2 for part in parts):
             raise InputError("rest surface: its arrays have different shapes")
         return cls(np.stack(parts[:3], axis=-1), np.stack(parts[3:5]), np.stack(parts[5:]))
+
+
+def _height_of_sphere(squared_mm2: FloatArray, radius_mm: float, per_mm: float) -> FloatArray:
+    """Return the height, mm, at which lines of sight meet a sphere with its apex at z = 0.
+
+    A line passes z = 0 at the distance r from the axis, and the height z at r (1 - z / D). With
+    u = 1 / D this gives (1 + r^2 u^2) z^2 - 2 (R + r^2 u) z + r^2 = 0.
+
+    Parameters
+    ----------
+    squared_mm2 : r^2
+    per_mm : u
+
+    Raises
+    ------
+    InputError : a line does not meet the sphere on its side of the apex
+    """
+    square, half = 1.0 + squared_mm2 * per_mm**2, radius_mm + squared_mm2 * per_mm
+    root = half**2 - square * squared_mm2
+    height = (half - np.sqrt(np.maximum(root, 0.0))) / square
+    if root.min() <= 0.0 or height.max() >= radius_mm:
+        most = float(squared_mm2.max())
+        least_mm = np.sqrt(most**2 * per_mm**2 + most) - most * per_mm
+        raise InputError(
+            f"radius_mm: found {radius_mm:g}, allowed more than {least_mm:.4g}: the dome must fill "
+            "the image; give the radius of the undeformed coat, and crop the image to it"
+        )
+    return np.asarray(height)

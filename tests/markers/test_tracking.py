@@ -35,6 +35,26 @@ def test_displacements_beside_their_uncertainty(before, after, dots_px, moved_px
     assert 0.85 < np.sqrt(np.mean(np.square(over))) < 1.15
 
 
+def test_a_slip_over_several_frames(make_image, make_lattice):
+    """Setup: the lattice slips by 0.4 spacings per frame, to 1.2; dots leave the image.
+
+    Expected: by the frame before, all tracked dots have the slip to 0.05 px; the last frame alone
+    has displacements that are a whole spacing wrong.
+    """
+    dots = make_lattice((100, 140))
+    pattern, tracks = find_pattern(make_image(dots, (100, 140))), None
+    for frame in (1, 2, 3):
+        slip_px = np.array([0.0, 0.4 * 22.0 * frame])
+        image = make_image(dots + slip_px, (100, 140))
+        tracks = track(pattern, image, tracks)
+        assert np.count_nonzero(tracks.tracked) >= 0.7 * len(pattern.dots.centres_px)
+        np.testing.assert_allclose(tracks.moved_px[tracks.tracked] - slip_px, 0.0, atol=0.05)
+    alone = track(pattern, image)
+    assert np.abs(np.median(alone.moved_px[alone.tracked], axis=0) - slip_px).max() > 11.0
+    with pytest.raises(InputError, match="from one pattern"):
+        track(find_pattern(make_image(dots[:-1], (100, 140))), image, tracks)
+
+
 def test_lost_and_wrong_dots_are_marked(make_image, before, dots_px, moved_px, with_noise):
     """Setup: one dot is gone, and one dot of those that hardly move is 0.33 spacings off.
 

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import imageio.v3 as imageio
 import numpy as np
 import pytest
 
@@ -14,6 +15,7 @@ from reconstruction.photometric import (
     calibrate_sensor,
     read_height_map,
     read_sensor_calibration,
+    reconstruct_photometric,
     write_height_map,
     write_sensor_calibration,
 )
@@ -84,15 +86,20 @@ def rest():
 
 
 @pytest.fixture(scope="module")
-def calibration(rest):
+def presses_of_balls():
     rng, presses = np.random.default_rng(3), []
     for number in range(16):
         radius_mm = rng.uniform(2.5, 4.5)
         place = rng.uniform(-1.0, 1.0, 2) * (7.5, 5.0)
         slopes = imaged(*pressed(*place, radius_mm, radius_mm * rng.uniform(0.06, 0.2)))[1]
         presses.append(BallPress(shade(slopes, 1000 + number), 2.0 * radius_mm))
+    return presses
+
+
+@pytest.fixture(scope="module")
+def calibration(rest, presses_of_balls):
     backgrounds = np.stack([shade(rest.slopes.astype(float), seed) for seed in range(4)])
-    return calibrate_sensor(presses, backgrounds, PITCH_MM, rest=rest)
+    return calibrate_sensor(presses_of_balls, backgrounds, PITCH_MM, rest=rest)
 
 
 def test_an_unpressed_dome_has_its_own_shape(calibration, rest):
@@ -122,6 +129,53 @@ def test_a_ball_in_a_dome_has_its_radius(calibration, rest, place):
     fitted = fit_sphere(measured)
     assert fitted.radius_mm == pytest.approx(3.0, rel=0.025)
     np.testing.assert_allclose(fitted.centre_mm[:2], (place[0], -place[1]), atol=0.05)
+
+
+@pytest.mark.parametrize("distance_mm", [DISTANCE_MM, 0.0])
+def test_a_sphere_by_its_radius(rest, distance_mm):
+    """Expected: the points and slopes that iteration along the lines of sight finds, to float32;
+    for parallel lines the closed form R - sqrt(R^2 - r^2).
+    """
+    dome_surface = RestSurface.of_sphere(SHAPE, PITCH_MM, DOME_MM, distance_mm)
+    if distance_mm:
+        for name in ("points_mm", "slopes", "sight"):
+            np.testing.assert_allclose(getattr(dome_surface, name), getattr(rest, name), atol=2e-5)
+    else:
+        np.testing.assert_allclose(dome_surface.points_mm[..., 2], dome(*view()), atol=2e-5)
+        np.testing.assert_allclose(dome_surface.slopes, dome_slope(*view()), atol=2e-5)
+        assert not dome_surface.sight.any()
+    with pytest.raises(InputError, match="radius_mm: found 6, allowed more than"):
+        RestSurface.of_sphere(SHAPE, PITCH_MM, 6.0, distance_mm)
+
+
+def test_a_description_of_a_domed_gel(tmp_path, rest, presses_of_balls):
+    """Setup: the images of the calibration, and a ball of 6 mm in the middle, as files.
+
+    Expected: heights within 15 um RMS, as by the Python functions.
+    """
+    for number, press in enumerate(presses_of_balls):
+        imageio.imwrite(tmp_path / f"ball_{number:02d}.png", press.image)
+    for seed in range(4):
+        imageio.imwrite(tmp_path / f"still_{seed}.png", shade(rest.slopes.astype(float), seed))
+    points, slopes = imaged(*pressed(0.0, 0.0, 3.0, 0.4))
+    imageio.imwrite(tmp_path / "press.png", shade(slopes, 5000))
+    balls = "".join(
+        f"[[calibrate.balls]]\ndiameter_mm = {press.ball_diameter_mm!r}\n"
+        f'images = ["ball_{number:02d}.png"]\n'
+        for number, press in enumerate(presses_of_balls)
+    )
+    described = tmp_path / "press.toml"
+    described.write_text(
+        'format = "photometric-press"\nversion = 1\nimage = "press.png"\n'
+        f'background = ["still_*.png"]\n[calibrate]\npitch_mm = {PITCH_MM}\n{balls}'
+        f"[calibrate.dome]\nradius_mm = {DOME_MM}\nview_distance_mm = {DISTANCE_MM}\n",
+        encoding="utf-8",
+    )
+    decoded = reconstruct_photometric(described).height_map
+    assert np.sqrt(np.mean((decoded.height_mm - points[..., 2]) ** 2)) < 0.015
+    described.write_text(described.read_text().replace(f"radius_mm = {DOME_MM}", "radius_mm = 6.0"))
+    with pytest.raises(InputError, match="radius_mm: found 6"):
+        reconstruct_photometric(described)
 
 
 def test_files_hold_the_dome(calibration, rest, tmp_path):

@@ -70,6 +70,11 @@ def holding_layer(layers: Mapping[str, Layer]) -> Layer | None:
     return next((layer for layer in layers.values() if layer.bottom_mm <= 0.0), None)
 
 
+def raised_mm(layers: Mapping[str, Layer]) -> float:
+    """Return how far the layers raise the coat, mm, as it appears from above in air (paraxial)."""
+    return sum(layer.thickness_mm * (1.0 - 1.0 / layer.ior) for layer in layers.values())
+
+
 @dataclass(frozen=True)
 class OuterFace:
     """Upper interface to air of the stack of touching layers that contains the coat."""

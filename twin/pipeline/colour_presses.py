@@ -8,7 +8,6 @@ measurements.
 """
 
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -16,22 +15,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.errors import CaptureError, FitError, InputError
-from reconstruction.markers import DotStatus, mean_motion
+from reconstruction.errors import CaptureError, InputError
 from reconstruction.photometric import (
     DescribedPresses,
-    GelMotion,
     HeightMap,
     PhotometricReason,
     PhotometricResult,
     SensorCalibration,
     described_presses,
-    write_dots,
     write_height_map,
     write_height_points,
     write_sensor_calibration,
 )
-from reconstruction.photometric.pictures import draw_dots, draw_heights
+from reconstruction.photometric.pictures import draw_heights
 from reconstruction.photometric.press_doubts import untouched_drift_mm
 from reconstruction.reading import MOST_IMAGE_BYTES, read_bytes, read_text
 from reconstruction.writing import write_text
@@ -39,10 +35,10 @@ from twin.config.digest import content_digest
 from twin.output import EXPERIMENT_FILE, output_folder, write_outcome
 from twin.pipeline.captures import masked_by_reason
 from twin.pipeline.progress import ProgressCallback, no_progress
+from twin.results.dot_figures import dot_figures, write_motion
 from twin.results.parts import write_rows
 
 HEIGHT_FILE, POINTS_FILE, CALIBRATION_FILE = "height.nc", "points.ply", "sensor_calibration.npz"
-DOTS_FILE, DOTS_PICTURE = "markers.nc", "markers.png"
 PRESSES_FOLDER, PRESSES_FILE, HEIGHTS_FILE = "presses", "presses.csv", "heights.png"
 _DIGITS = 6
 # Figures of several presses that are reported by their median.
@@ -140,15 +136,16 @@ def _one(presses: DescribedPresses, folder: Path) -> ColourOutcome:
 def _several(presses: DescribedPresses, folder: Path, watch: ProgressCallback) -> ColourOutcome:
     rows: list[dict[str, Any]] = []
     heights: dict[str, HeightMap] = {}
-    doubts = list(presses.doubts)
+    doubts, motion = list(presses.doubts), None
     for number, file in enumerate(presses.files):
         name = f"{number:03d}_{file.stem}"
         try:
-            result = presses.measure(file)
+            result = presses.measure(file, motion)
         except InputError as error:
             rows.append({"press": name, "refused": str(error)})
             doubts.append(str(error))
             continue
+        motion = result.motion or motion
         own = [doubt for doubt in result.doubts if doubt not in presses.doubts]
         doubts += [f"{file.name}: {doubt}" for doubt in own]
         rows.append({"press": name} | press_figures(result) | {"doubt": " ".join(own)})
@@ -174,8 +171,7 @@ def _write(folder: Path, result: PhotometricResult) -> None:
     write_height_map(folder / HEIGHT_FILE, result.height_map)
     write_height_points(folder / POINTS_FILE, result.height_map)
     if result.motion is not None:
-        write_dots(folder / DOTS_FILE, result.motion)
-        draw_dots(folder / DOTS_PICTURE, result.image, result.motion)
+        write_motion(folder, result.image, result.motion)
 
 
 def _medians(rows: list[dict[str, Any]]) -> dict[str, float]:
@@ -205,32 +201,3 @@ def press_figures(result: PhotometricResult) -> dict[str, Any]:
         figures["lowest_mm"] = float(np.min(heights_mm))
     figures |= masked_by_reason(height_map.mask_reason, PhotometricReason)
     return figures if result.motion is None else figures | dot_figures(result.motion)
-
-
-def dot_figures(motion: GelMotion) -> dict[str, Any]:
-    """Return the figures of printed dots by name, units in the names.
-
-    They are the number of dots per status, the largest displacement, the median uncertainty and, if
-    four dots are tracked, those of `mean_motion`.
-    """
-    tracks, tracked = motion.tracks, motion.tracks.tracked
-    figures: dict[str, Any] = {
-        f"dots_{status.name.lower()}": int(np.count_nonzero(tracks.status == status))
-        for status in DotStatus
-    }
-    figures["dot_diameter_um"] = 2e3 * tracks.pattern.radius_px * motion.pitch_mm
-    figures["dot_spacing_um"] = 1e3 * tracks.pattern.spacing_px * motion.pitch_mm
-    if tracked.any():
-        figures["dots_moved_most_um"] = 1e3 * float(np.hypot(*motion.moved_mm[tracked].T).max())
-        figures["dots_sigma_median_um"] = 1e3 * float(np.median(motion.sigma_mm[tracked]))
-    with suppress(FitError):
-        mean = mean_motion(motion.places_mm[tracked], motion.moved_mm[tracked])
-        figures |= {
-            "dots_mean_x_um": 1e3 * mean.x_mm,
-            "dots_mean_y_um": 1e3 * mean.y_mm,
-            "dots_divergence_permille": 1e3 * mean.divergence,
-            "dots_shear_permille": 1e3 * mean.shear,
-            "dots_rotation_mrad": 1e3 * mean.rotation_rad,
-            "dots_rotation_sigma_mrad": 1e3 * mean.rotation_sigma_rad,
-        }
-    return figures

@@ -21,8 +21,10 @@ from reconstruction.photometric import (
     calibrate_sensor,
 )
 from reconstruction.photometric.calibration_ball import SampleOptions
+from reconstruction.photometric.images import mean_background
 from reconstruction.rig.pinhole import Pinhole
 from twin.config import Experiment, digest, seed_sequence
+from twin.config.layers import raised_mm
 from twin.mechanics import PressedElastomer
 from twin.optics.backed_coat import seen_face
 from twin.optics.lamps import drifted_flux
@@ -46,8 +48,10 @@ from twin.pipeline.reference_presses import (
     rest_surface,
     undeformed,
 )
-from twin.results.decoders import chosen, decode_all
+from twin.results.colours import decode_colours
+from twin.results.figures import Metric, warnings_of
 from twin.results.parts import press_metrics
+from twin.results.printed_dots import sensor_dots
 from twin.results.record import Colours, Measurement
 from twin.results.score import metrics
 from twin.specimens.kinds.ball import Ball
@@ -112,10 +116,12 @@ class ColourSensor:
         It is the mean of both axes. Seen through the layers, the coat appears at the depth
         sum of (thickness / refractive index) below their top (paraxial).
         """
-        device, camera = image_pinhole(self.experiment), self.experiment.camera
-        layers = self.experiment.layers.values()
-        raised_mm = sum(layer.thickness_mm * (1.0 - 1.0 / layer.ior) for layer in layers)
-        return (camera.pose.standoff_mm - raised_mm) * (1 / device.fx_px + 1 / device.fy_px) / 2
+        device, standoff_mm = (
+            image_pinhole(self.experiment),
+            self.experiment.camera.pose.standoff_mm,
+        )
+        distance_mm = standoff_mm - raised_mm(self.experiment.layers)
+        return distance_mm * (1 / device.fx_px + 1 / device.fy_px) / 2
 
     @renderer_session()  # prevents that another thread puts a face into the scene meanwhile
     def image(self, face: "trimesh.Trimesh", number: int) -> Levels:
@@ -189,14 +195,13 @@ def measure_colours(experiment: Experiment, run: RunContext) -> Measurement:
         )
     image, truth = images.value
     with clock.stage("reconstruct"):
-        decoded = decode_all(experiment, image, calibrations, truth)
-    own = chosen(experiment, decoded)
+        colours = decode_colours(experiment, image, calibrations, truth, pressed.pressed)
     done = Measurement(
         experiment=experiment,
-        images=Colours(image, calibrations, decoded, own),
+        images=colours,
         truth=truth,
-        score=own.score,
-        metrics=press_metrics(pressed.pressed) | metrics(own.score),
+        score=colours.own.score,
+        metrics=_metrics(pressed.pressed, colours),
         pressed=pressed.pressed,
         digest=digest(experiment),
         versions=versions(),
@@ -204,6 +209,14 @@ def measure_colours(experiment: Experiment, run: RunContext) -> Measurement:
     )
     with clock.stage("object"):
         return done.with_object()
+
+
+def _metrics(pressed: PressedElastomer, colours: Colours) -> dict[str, Metric]:
+    figures = press_metrics(pressed) | dict(metrics(colours.own.score))
+    if colours.dots is None:
+        return figures
+    warnings = [*warnings_of(figures), *colours.dots.warnings]
+    return figures | colours.dots.figures | {"warnings": warnings}
 
 
 def calibrated_sensor(
@@ -291,13 +304,16 @@ def _lit_coat(experiment: Experiment) -> LitCoat:
 
 def _references(sensor: ColourSensor) -> References:
     """Return the images of the pressed reference balls and of the undeformed gel."""
-    references = []
+    references, backgrounds = [], sensor.backgrounds()
+    smoothing_px = SampleOptions().smoothing_px
+    dots = sensor_dots(sensor.experiment, mean_background(backgrounds), smoothing_px)
     for number, case in enumerate(ball_presses(sensor.experiment)):
         assert isinstance(case.specimen, Ball)
         pressed = with_texture(case, press_smooth(case))
         image = sensor.image(seen_face(case, pressed), _FIRST_PRESS + number)
-        references.append(BallPress(image, case.specimen.diameter_mm))
-    return References(sensor.backgrounds(), tuple(references))
+        hidden = None if dots is None else dots.covered(image)
+        references.append(BallPress(image, case.specimen.diameter_mm, hidden))
+    return References(backgrounds, tuple(references))
 
 
 def _calibrations(sensor: ColourSensor, references: References) -> dict[str, SensorCalibration]:

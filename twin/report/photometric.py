@@ -26,6 +26,7 @@ from twin.report.photometric_figures import (
 )
 from twin.report.pixel_panels import shading_words
 from twin.report.press import judge_press, press_figure
+from twin.report.printed_dots import rendered_dots_section
 from twin.report.spheres import ball_sections, fit_tables
 from twin.report.surfaces import relief_figure
 from twin.report.table import Column, Table, pairs
@@ -72,6 +73,7 @@ def sections(measured: Measurement) -> list[Section]:
         Section("recorded", "Camera image and slopes", seen_in),
         Section("surface", "Heights by decoder", by_decoder),
         Section("error", "Error against the true coat", (_figure(measured, "errors"),)),
+        *rendered_dots_section(measured),
         *ball_sections(measured),
         Section("pressed", "Specimen and gel", (press_figure(measured),)),
     ]
@@ -158,6 +160,19 @@ def sentences(measured: Measurement) -> list[str]:
             for decoder in measured.colours.decoded
             if decoder is not measured.colours.own
         ),
+        *_of_dots(measured),
+    ]
+
+
+def _of_dots(measured: Measurement) -> list[str]:
+    """Return the line on printed dots; empty without a measured displacement."""
+    figures = measured.figures
+    if figures.get("dots_displacement_error_rms_um") is None:
+        return []
+    return [
+        f"printed dots: {figures['dots_tracked']} of {figures['dots_in_image']} tracked, "
+        f"{figures['dots_true_displacement_rms_um']:.1f} um RMS displacement, "
+        f"{figures['dots_displacement_error_rms_um']:.1f} um RMS error"
     ]
 
 

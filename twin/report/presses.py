@@ -8,9 +8,11 @@ from typing import Any
 from reconstruction.photometric.pictures import draw_heights
 from reconstruction.reading import read_bytes
 from reconstruction.writing import write_bytes
-from twin.pipeline.colour_presses import DOTS_PICTURE, PRESSES_FOLDER, ColourOutcome
-from twin.report.page import REPORT_FILE, Block, Figure, Gallery, Note, Page, Section, write_page
+from twin.pipeline.colour_presses import PRESSES_FOLDER, ColourOutcome
+from twin.report.page import REPORT_FILE, Figure, Page, Section, write_page
+from twin.report.printed_dots import DOT_COLUMNS, dots_section
 from twin.report.table import Column, Row, Table
+from twin.results.dot_figures import DOTS_PICTURE
 
 _MOST_DOT_PICTURES = 12
 _HEIGHTS = (
@@ -20,19 +22,6 @@ _HEIGHTS = (
     Column("lowest_mm", "lowest, mm", 3),
     Column("untouched_share", "share without contact", 3),
     Column("untouched_drift_um", "RMS height without contact, µm", 1),
-)
-_DOTS = (
-    Column("press", "press"),
-    Column("dots_tracked", "tracked", 0),
-    Column("dots_lost", "lost", 0),
-    Column("dots_doubtful", "doubtful", 0),
-    Column("dots_moved_most_um", "largest displacement, µm", 1),
-    Column("dots_sigma_median_um", "median u, µm", 2),
-    Column("dots_mean_x_um", "mean x, µm", 1),
-    Column("dots_mean_y_um", "mean y, µm", 1),
-    Column("dots_divergence_permille", "divergence, ‰", 2),
-    Column("dots_shear_permille", "shear, ‰", 2),
-    Column("dots_rotation_mrad", "rotation, mrad", 2),
 )
 
 
@@ -90,15 +79,7 @@ def _dots(folder: Path, measured: Sequence[dict[str, Any]]) -> Section:
         )
         for number, row in enumerate(measured[:_MOST_DOT_PICTURES])
     ]
-    note = Note(
-        "Displacements between the image without contact and the image of the press, in the plane "
-        "of the gel: x right, y up. Mean, divergence, shear and rotation are those of an affine "
-        "function fitted to the tracked dots; rotation is counter-clockwise. u: standard "
-        "uncertainty of one displacement. Lost and doubtful dots have no displacement."
-    )
-    table = Table("dots", "", "", _DOTS, _rows(measured, _DOTS))
-    blocks: tuple[Block, ...] = (note, Gallery(tuple(pictures), min(2, len(pictures))), table)
-    return Section("dots", "Printed dots", blocks)
+    return dots_section(pictures, Table("dots", "", "", DOT_COLUMNS, _rows(measured, DOT_COLUMNS)))
 
 
 def _picture(folder: Path, press: str) -> Path:

@@ -8,7 +8,7 @@ decoding differs.
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from reconstruction.arrays import Levels
+from reconstruction.arrays import BoolImage, Levels
 from reconstruction.colour_maps import COLOUR_MAPS, maps_in_order
 from reconstruction.integration_schemes import SCHEMES, schemes_in_order
 from reconstruction.photometric import (
@@ -51,8 +51,13 @@ def decode_all(
     image: Levels,
     calibrations: Mapping[str, SensorCalibration],
     truth: Truth,
+    dots: BoolImage | None = None,
 ) -> list[DecodedImage]:
     """Decode and score an image by every given colour map and every integration.
+
+    Parameters
+    ----------
+    dots : (row, col) bool, pixels of printed dots, see `PhotometricDecoder.decode`
 
     Returns
     -------
@@ -64,7 +69,7 @@ def decode_all(
     FitError : no pixel within `photometric.field` has a height
     """
     return [
-        decode_one(experiment, image, calibrations[kind.name], (kind.name, scheme.name), truth)
+        decode_one(experiment, image, calibrations[kind.name], scheme.name, truth, dots=dots)
         for kind in maps_in_order()
         if kind.name in calibrations
         for scheme in schemes_in_order()
@@ -75,18 +80,24 @@ def decode_one(
     experiment: Experiment,
     image: Levels,
     calibration: SensorCalibration,
-    decoder: tuple[str, str],
+    integration: str,
     truth: Truth,
+    *,
+    dots: BoolImage | None = None,
 ) -> DecodedImage:
-    """Decode and score an image by one decoder: a colour map and the name of an integration.
+    """Decode and score an image by the calibration's colour map and a named integration.
+
+    Parameters
+    ----------
+    dots : (row, col) bool, pixels of printed dots, see `PhotometricDecoder.decode`
 
     Raises
     ------
     FitError : no pixel within `photometric.field` has a height
     """
-    kind, integration = decoder
     options = PhotometricOptions(integration=integration)
-    heights = PhotometricDecoder(calibration, options).decode(image)
+    heights = PhotometricDecoder(calibration, options).decode(image, dots)
+    kind = calibration.colour_map.name
     return DecodedImage(kind, integration, heights, score_heights(experiment, heights, truth))
 
 

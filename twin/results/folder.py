@@ -27,6 +27,7 @@ By photometric stereo:
 | other_calibration_2.npz, ... | further colour maps, with plug-ins |
 | height.nc | height, slopes and reason codes |
 | decoders.csv | figures of this image by every colour map and every integration |
+| markers.nc, markers.png | of a gel with printed dots: displacements, and their picture |
 
 When a measurement is read, it is scored again from the stored maps; a photometric image is decoded
 again.
@@ -54,10 +55,12 @@ from reconstruction.pipeline import Reconstruction, read_reconstruction, write_r
 from reconstruction.reading import is_regular, read_json, read_pixels
 from reconstruction.writing import write_png
 from twin.config import Experiment, load_experiment
-from twin.mechanics import read_press
+from twin.mechanics import PressedElastomer, read_press
 from twin.optics.stack import Truth
 from twin.output import EXPERIMENT_FILE, RESULT_FILE
-from twin.results.decoders import DecodedImage, chosen, decode_all
+from twin.results.colours import decode_colours
+from twin.results.decoders import DecodedImage
+from twin.results.dot_figures import write_motion
 from twin.results.figures import Figures, Metrics
 from twin.results.parts import (
     CAPTURE_FOLDER,
@@ -185,16 +188,23 @@ def read_measurement(folder: Path) -> Measurement:
     method, figures = experiment.method, result["metrics"]
     needed = _NEEDED + (_NEEDED_OF_FRINGES if method.fringes else _NEEDED_OF_COLOURS)
     _require(folder, figures, needed + (_NEEDED_OF_A_PRESS if method.presses else ()))
-    read = _read_fringes if method.fringes else _read_colours
     truth = read_truth(folder / TRUTH_FILE)
-    images, scored = read(folder, experiment, truth)
+    pressed = read_press(folder / "press.nc") if method.presses else None
+    images: Fringes | Colours
+    scored: Scores[TruthScore]
+    if method.fringes:
+        images, scored = _read_fringes(folder, experiment, truth)
+    else:
+        assert pressed is not None  # photometric stereo presses
+        images = _read_colours(folder, experiment, truth, pressed)
+        scored = images.own.score
     return Measurement(
         experiment=experiment,
         images=images,
         truth=truth,
         score=scored,
         metrics=figures,
-        pressed=read_press(folder / "press.nc") if method.presses else None,
+        pressed=pressed,
         compensation=_compensation_of(experiment, images),
         digest=str(result.get("digest", "")),
         versions=result.get("versions", {}),
@@ -237,6 +247,8 @@ def _write_decoding(folder: Path, images: Colours) -> None:
     for kind, calibration in images.calibrations.items():
         write_sensor_calibration(folder / files.get(kind, CALIBRATION_FILE), calibration)
     write_decoders(folder / DECODERS_FILE, images.decoded)
+    if images.dots is not None and images.dots.motion is not None:
+        write_motion(folder, images.picture, images.dots.motion)
 
 
 def write_decoders(path: Path, decoded: Sequence[DecodedImage]) -> None:
@@ -265,16 +277,14 @@ def _read_fringes(
 
 
 def _read_colours(
-    folder: Path, experiment: Experiment, truth: Truth
-) -> tuple[Colours, Scores[TruthScore]]:
+    folder: Path, experiment: Experiment, truth: Truth, pressed: PressedElastomer
+) -> Colours:
     image = _read_image(folder / IMAGE_FILE)
     further = sorted(folder.glob(_FURTHER_FILES.format("*")))
     files = [folder / CALIBRATION_FILE, folder / OTHER_CALIBRATION_FILE, *further]
     read = [read_sensor_calibration(file) for file in files]
     calibrations = {calibration.colour_map.name: calibration for calibration in read}
-    decoded = decode_all(experiment, image, calibrations, truth)
-    own = chosen(experiment, decoded)
-    return Colours(image, calibrations, decoded, own), own.score
+    return decode_colours(experiment, image, calibrations, truth, pressed)
 
 
 def _read_image(path: Path) -> Levels:

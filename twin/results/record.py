@@ -21,6 +21,7 @@ from twin.optics.stack import Frames, RadianceStack, Truth
 from twin.results.decoders import DecodedImage
 from twin.results.figures import Figures, Metrics, warnings_of
 from twin.results.object_score import MeasuredQuantity, ObjectScore, score_object
+from twin.results.printed_dots import MeasuredDots
 from twin.results.score import Scores, TruthScore, in_world
 from twin.results.under_sheet import SheetCompensation
 
@@ -119,12 +120,14 @@ class Colours:
     calibrations : by kind of colour map, the sensor's calibration from the same reference images
     decoded : the image as decoded by every decoder
     own : the image as decoded by the decoder that the experiment selects
+    dots : displacements of the printed dots; None: no dots are printed
     """
 
     picture: Levels
     calibrations: Mapping[str, SensorCalibration]
     decoded: list[DecodedImage]
     own: DecodedImage
+    dots: MeasuredDots | None = None
 
     @property
     def calibration(self) -> SensorCalibration:
