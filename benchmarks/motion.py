@@ -9,8 +9,12 @@ traced at its own time. The last line has the largest of all cases.
 Time: loading and rendering of the shipped moving ball, all frames of 18 steps along both axes,
 relative to the ball at rest; median of alternating turns after a warm-up of each.
 
+Decoding and scan: the figures of `motion_decoding` and of `scan`, which have their own texts
+(--quick: one speed, one scan).
+
 Last line: {"radiance_rms_percent": percent of the mean white level, "coordinate_rms_px": px,
-"time_over_rest": ratio, ...}.
+"time_over_rest": ratio, ..., "predicted_over_actual", "compensation_gain", ...,
+"scan_map_error_ratio", "registration_error_over_sigma"}.
 """
 
 from pathlib import Path
@@ -19,6 +23,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks._harness import in_turns, print_figures, quick_parser
+from benchmarks.motion_decoding import decoding_figures
+from benchmarks.scan import SCANS, scan_figures
 from twin.config import Experiment, load_experiment
 
 SMALL = {"camera.binning": 4, "camera.width_px": 640, "camera.height_px": 480}
@@ -36,9 +42,13 @@ TURNS = 5
 
 def main() -> None:
     """Print the errors of every case, and one JSON line."""
-    quick = quick_parser(__doc__, "one speed, and 484 x 366 pixels").parse_args().quick
-    figures = accuracy(SPEEDS_MM_S[-1:] if quick else SPEEDS_MM_S)
-    print_figures(figures | time_over_rest(binning=4 if quick else 2))
+    quick = quick_parser(__doc__, "one speed, 484 x 366 pixels, one scan").parse_args().quick
+    speeds_mm_s = SPEEDS_MM_S[-1:] if quick else SPEEDS_MM_S
+    figures = accuracy(speeds_mm_s) | time_over_rest(binning=4 if quick else 2)
+    scanned = scan_figures(1 if quick else SCANS)
+    shown = ("scan_map_error_ratio", "registration_error_over_sigma")
+    figures |= decoding_figures(speeds_mm_s) | {name: scanned[name] for name in shown}
+    print_figures(figures)
 
 
 def accuracy(speeds_mm_s: tuple[float, ...]) -> dict[str, float]:

@@ -17,7 +17,7 @@ from reconstruction.codes import Unwrap
 from reconstruction.colouring import Deviation, Intensity
 from reconstruction.decoding.decode import AxisDecode, Decoded, DecodeOptions, decode
 from reconstruction.errors import CaptureError, InputError, one_line
-from reconstruction.motion.prediction import Geometry, PredictedMotion, of_residuals
+from reconstruction.motion.prediction import MeasuredSurface, PredictedMotion, of_residuals
 from reconstruction.netcdf import (
     PIXELS,
     LabelledArrays,
@@ -155,7 +155,7 @@ def reconstruct(
     point_map = triangulate(decoded, model, use, chosen.tolerance)
     motion = None
     if chosen.motion_error:
-        measured = Geometry(decoded, point_map, model, use)
+        measured = MeasuredSurface(decoded, point_map, model, use)
         motion = of_residuals(measured, capture.patterns, stack, capture.sensor)
     return Reconstruction(decoded, point_map, motion)
 

@@ -334,7 +334,8 @@ def _side_of_motion(sums: TileSums, model: _Model) -> FloatArray:
 
 def _is_multiple(estimate: ComplexArray, expected: ComplexArray) -> bool:
     """Return whether an estimate is nearly a real multiple of the expected one."""
-    rate = float(np.vdot(expected, estimate).real) / max(np.vdot(expected, expected).real, 1e-300)
+    size = max(float(np.linalg.norm(expected)) ** 2, 1e-300)
+    rate = float(np.vdot(expected, estimate).real) / size
     rest = np.linalg.norm(estimate - rate * expected)
     return bool(rest <= MOTION_WITHIN * np.linalg.norm(rate * expected))
 

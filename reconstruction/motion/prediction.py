@@ -104,7 +104,7 @@ class Displacements(NamedTuple):
     since_reference_mm: FloatArray
 
 
-class Geometry(NamedTuple):
+class MeasuredSurface(NamedTuple):
     """Measured surface, and the rig that measured it."""
 
     decoded: Decoded
@@ -136,7 +136,7 @@ def has_one_set(patterns: PatternSet) -> bool:
 
 
 def of_residuals(
-    measured: Geometry, patterns: PatternSet, stack: Stack, sensor: SensorNoise
+    measured: MeasuredSurface, patterns: PatternSet, stack: Stack, sensor: SensorNoise
 ) -> PredictedMotion:
     """Return the errors by a motion that the residuals of the phase frames contain.
 
@@ -167,7 +167,7 @@ def of_residuals(
 
 
 def of_displacements(
-    measured: Geometry, patterns: PatternSet, displaced: Mapping[Axis, Displacements]
+    measured: MeasuredSurface, patterns: PatternSet, displaced: Mapping[Axis, Displacements]
 ) -> PredictedMotion:
     """Return the errors by a stated motion of a rigid specimen.
 
@@ -189,7 +189,7 @@ def of_displacements(
 
 
 def _axis_motion(
-    measured: Geometry, patterns: PatternSet, axis: Axis, displaced: Displacements
+    measured: MeasuredSurface, patterns: PatternSet, axis: Axis, displaced: Displacements
 ) -> AxisMotion:
     maps = measured.decoded.row if axis == "row" else measured.decoded.column
     valid, z_by_px = measured.points.valid, measured.z_by_px(axis)
@@ -204,7 +204,7 @@ def _axis_motion(
 
 
 def _axis_of(
-    measured: Geometry, rate_rad: FloatArray, error_px: FloatArray, lag_px: FloatArray
+    measured: MeasuredSurface, rate_rad: FloatArray, error_px: FloatArray, lag_px: FloatArray
 ) -> AxisMotion:
     known = measured.points.valid
     maps = (np.where(known, image, 0.0) for image in (rate_rad, error_px, lag_px))
@@ -243,7 +243,7 @@ def _rise_mm(points: PointMap, displaced_mm: FloatArray) -> FloatArray:
 
 
 def _light_changes(
-    measured: Geometry, maps: AxisDecode, per_frame_mm: FloatArray
+    measured: MeasuredSurface, maps: AxisDecode, per_frame_mm: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return the changes of mean and modulation from frame to frame, divided by the modulation.
 
@@ -280,7 +280,7 @@ def _moved(decoded: Decoded, axis: Axis, step_px: float) -> Decoded:
     return replace(decoded, row=moved) if axis == "row" else replace(decoded, column=moved)
 
 
-def _in_space(measured: Geometry, axes: Mapping[Axis, AxisMotion]) -> PredictedMotion:
+def _in_space(measured: MeasuredSurface, axes: Mapping[Axis, AxisMotion]) -> PredictedMotion:
     """Return the errors of z too: of each used coordinate, with its weight in the triangulation."""
     used = [axis for axis in axes if measured.use in (axis, "both")]
     total, error_mm, lag_mm = np.zeros((3, *measured.points.valid.shape))

@@ -11,7 +11,7 @@ from reconstruction.errors import InputError
 from reconstruction.motion.neighbourhood import motion_nearby
 from reconstruction.motion.phase_rate import phase_error, steps_of
 from reconstruction.motion.positions import StageMotion
-from reconstruction.motion.prediction import Displacements, Geometry, of_displacements
+from reconstruction.motion.prediction import Displacements, MeasuredSurface, of_displacements
 from reconstruction.patterns import PatternSet
 from reconstruction.pipeline import (
     read_reconstruction,
@@ -108,7 +108,7 @@ def test_error_of_a_known_motion(calibration, sequence, velocity_mm):
     result = reconstruct(capture, RAW)
     shape, velocity = result.point_map.points_world_mm.shape, np.array(velocity_mm)
     shifts = Displacements(np.broadcast_to(velocity, shape), np.broadcast_to(-6 * velocity, shape))
-    measured = Geometry(result.decoded, result.point_map, calibration, "column")
+    measured = MeasuredSurface(result.decoded, result.point_map, calibration, "column")
     motion = of_displacements(measured, patterns, {"column": shifts})
     valid = result.point_map.valid[INSIDE]
 
@@ -148,11 +148,13 @@ def test_motion_that_cannot_be_predicted_is_an_error(calibration):
     result = reconstruct(capture, RAW)
     layered = replace(calibration, layers=PlaneLayers((5.0,), (1.4,)))
     with pytest.raises(InputError, match=r"not available below \[layers\]"):
-        of_displacements(Geometry(result.decoded, result.point_map, layered, "column"), three, {})
+        of_displacements(
+            MeasuredSurface(result.decoded, result.point_map, layered, "column"), three, {}
+        )
     beats = of(4, code="heterodyne", further_periods_px=(19.0, 20.0))
     with pytest.raises(InputError, match="not available with patterns code 'heterodyne'"):
         of_displacements(
-            Geometry(result.decoded, result.point_map, calibration, "column"), beats, {}
+            MeasuredSurface(result.decoded, result.point_map, calibration, "column"), beats, {}
         )
 
 

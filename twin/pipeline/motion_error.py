@@ -9,7 +9,7 @@ from reconstruction.capture.folder import Capture
 from reconstruction.motion.positions import StageMotion
 from reconstruction.motion.prediction import (
     Displacements,
-    Geometry,
+    MeasuredSurface,
     has_one_set,
     of_displacements,
 )
@@ -55,7 +55,7 @@ def reconstruct_moving(experiment: Experiment, capture: Capture) -> Reconstructi
         return result
     axes = result.decoded.axes
     use: Use = experiment.decode.use if len(axes) == 2 else axes[0]
-    measured = Geometry(result.decoded, result.point_map, capture.calibration, use)
+    measured = MeasuredSurface(result.decoded, result.point_map, capture.calibration, use)
     points_mm = result.point_map.points_world_mm.astype(np.float64)
     displaced = {axis: _displaced(experiment, capture.patterns, axis, points_mm) for axis in axes}
     return replace(result, motion=of_displacements(measured, capture.patterns, displaced))
