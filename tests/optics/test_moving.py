@@ -206,21 +206,46 @@ def test_the_last_coefficient_bounds_the_error_of_a_smooth_function():
     assert error < abs(chebyshev[-1, 0]) < 3e-5
 
 
-def test_a_pressed_face_is_that_of_its_own_travel(mi):
-    """A ball pressed at 4 mm/s: each frame against the recording of a press at rest."""
+VIBRATION = {"motion.vibration.amplitude_um": 60.0, "motion.vibration.frequency_hz": 4.0}
+SHEET = {
+    "specimen.kind": "ball",
+    "press.relief_pitch_mm": 0.05,
+    "press.solver_pitch_mm": 0.5,
+    "press.depth_mm": 0.3,
+    "press.back_pressure_kpa": 1.0,
+    "elastomer.length_x_mm": 15.0,
+    "elastomer.length_y_mm": 15.0,
+    "coating.texture": {"rms_um": 3.0, "correlation_mm": 0.3},
+}
+
+
+def is_as_pressed_at_rest(experiment, frames, moments):
+    """Compare frames with recordings of presses at rest, and the first one with that of time 0."""
     from twin.config.instant import experiment_at
     from twin.pipeline import take
 
-    keys = {"press.relief_pitch_mm": 0.05, "press.solver_pitch_mm": 0.16}
-    experiment = load_experiment(SLAB, SMALL | keys | {"motion.z_mm_s": 4.0})
     stack = take(experiment)[1].radiance
-    assert stack.motion.moments == 3
-    for frame in (0, 4):
+    assert stack.motion.moments == moments
+    for frame in frames:
         times_s, _ = exposure_times_s(experiment, frame, 1)
         expected = take(experiment_at(experiment, times_s[0]))[1].radiance
         assert rms(stack.frames[frame] - expected.frames[frame]) < 2e-3 * white_of(stack)
-    still = take(experiment_at(experiment, 0.0))[1].radiance
-    assert rms(stack.frames[0] - still.frames[0]) > 1e-2 * white_of(stack)
+    moved = rms(stack.frames[0] - take(experiment_at(experiment, 0.0))[1].radiance.frames[0])
+    return moved > 1e-2 * white_of(stack)
+
+
+@pytest.mark.parametrize(("motion", "moments"), [({"motion.z_mm_s": 4.0}, 3), (VIBRATION, 5)])
+def test_a_pressed_face_is_that_of_its_own_travel(mi, motion, moments):
+    """A ball pressed at 4 mm/s, or shaken by 60 um: frames against presses at rest."""
+    keys = {"press.relief_pitch_mm": 0.05, "press.solver_pitch_mm": 0.16}
+    experiment = load_experiment(SLAB, SMALL | keys | motion)
+    assert is_as_pressed_at_rest(experiment, (0, 4), moments)
+
+
+def test_a_wrapped_sheet_with_texture_is_that_of_its_own_travel(mi):
+    """A ball pressed into a sheet of 0.2 mm at 2 mm/s; the texture moves with its material."""
+    experiment = load_experiment("examples/wrapped_balls", SMALL | SHEET | {"motion.z_mm_s": 2.0})
+    assert is_as_pressed_at_rest(experiment, (0,), 3)
 
 
 @pytest.mark.parametrize(
@@ -235,6 +260,11 @@ def test_a_pressed_face_is_that_of_its_own_travel(mi):
         (SLAB, {"motion.time_s": 0.1}, "motion.time_s: found 0.1 with a press"),
         (SLAB, {"camera.exposure_ms": "auto"}, "camera.exposure_ms: found 'auto'"),
         (SLAB, {"motion.z_mm_s": 50.0}, "motion.z_mm_s: the travel is"),
+        (
+            SLAB,
+            {"motion.vibration.amplitude_um": 1.0},
+            "vibration.frequency_hz: found 50, 4.76 periods during the sequence, allowed up to 0.5",
+        ),
     ],
 )
 def test_motions_that_are_not_supported_are_rejected(name, keys, message):

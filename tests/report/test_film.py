@@ -10,7 +10,7 @@ import twin
 from twin.config import load_experiment
 from twin.config.motion import Motion
 from twin.report import film
-from twin.report.film import Film, Reliefs, film_of, film_sections, shown_frames
+from twin.report.film import MotionFilm, Reliefs, film_of, film_sections, shown_frames
 from twin.report.measurement import page_of
 
 DISC = Path(__file__).parents[1] / "optics" / "disc_on_stage.toml"
@@ -27,7 +27,7 @@ SMALL = {
 
 def film_with(section_at, times_s):
     images = np.random.default_rng(1).uniform(0, 4000, (len(times_s), 12, 16)).astype(np.float32)
-    return Film(images, np.array(times_s), ("phase",) * len(times_s), section_at)
+    return MotionFilm(images, np.array(times_s), ("phase",) * len(times_s), section_at)
 
 
 def test_the_file_has_all_frames(tmp_path):

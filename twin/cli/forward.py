@@ -62,8 +62,7 @@ def press(
         Change of the coat's height, um: also compute the time after the press from which the coat
         of a relaxing elastomer changes by less.
     wait_percent
-        Change of the force, percent of its final value: also compute the time after the press from
-        which the force of a relaxing elastomer, pressed to a depth, changes by less.
+        Change of the force, percent: the same for the force of a press to a depth.
     """
     from twin.mechanics import write_in_plane
     from twin.mechanics.models import model_of
@@ -90,17 +89,27 @@ def press(
             figures |= _write_transfer(folder, loaded, pressed)
         if derivatives:
             figures |= _write_derivatives(folder, pressed, derivatives, report)
-        if wait_um is not None:
-            from twin.pipeline.press import waiting_time
-
-            figures["waiting_time_s"] = waiting_time(loaded, wait_um)
-        if wait_percent is not None:
-            from twin.pipeline.press import force_waiting_time
-
-            figures["force_waiting_time_s"] = force_waiting_time(loaded, wait_percent)
+        figures |= _waiting_times(loaded, wait_um, wait_percent)
         write_result(folder, "press", loaded, figures)
     print_metrics(figures)
     say(f"wrote {out}")
+
+
+def _waiting_times(
+    experiment: "Experiment", wait_um: float | None, wait_percent: float | None
+) -> dict[str, float]:
+    """Return the times after the press from which coat and force change by less; None: omitted.
+
+    A change of the coat is in um, a change of the force in percent of its final value.
+    """
+    from twin.pipeline.press import force_waiting_time, waiting_time
+
+    figures = {}
+    if wait_um is not None:
+        figures["waiting_time_s"] = waiting_time(experiment, wait_um)
+    if wait_percent is not None:
+        figures["force_waiting_time_s"] = force_waiting_time(experiment, wait_percent)
+    return figures
 
 
 def _write_transfer(

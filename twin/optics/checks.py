@@ -39,6 +39,8 @@ def check_renderable(experiment: Experiment) -> None:
 # Upper limit for the Gray-code frames along one axis: 14 bits for 8192 stripes and their borders,
 # and a white and a black frame.
 _MOST_WORDS = 32
+# The polynomial through 5 moments deviates from such a sine by at most 1 % of the amplitude.
+_MOST_PERIODS = 0.5
 MOST_PIXEL_VALUES = 3_000_000_000
 """Largest number of pixel values in a stack of frames: 45 megapixels in 66 frames. Each value takes
 6 bytes, for radiance and digital number together."""
@@ -114,7 +116,7 @@ def check_motion(experiment: Experiment) -> None:
     ------
     InputError : photometric stereo; the stock engine; an automatic exposure, or one that does not
         fit in its frame; a clear or polished bare specimen; a press that rolls, that slides with
-        friction, or whose travel is not positive
+        friction, that vibrates by more than half a period, or whose travel is not positive
     """
     motion = experiment.motion
     if motion.is_stated and motion.time_s is not None and experiment.method.presses:
@@ -162,6 +164,14 @@ def _check_moving_press(experiment: Experiment) -> None:
     if motion.roll_deg_s:
         raise InputError(
             f"motion.roll_deg_s: found {motion.roll_deg_s:g}, allowed 0 of a press; {remedy}"
+        )
+    start_s, end_s = sequence_ends_s(experiment)
+    periods = motion.vibration.frequency_hz * (end_s - start_s)
+    if motion.vibration.amplitude_um and periods > _MOST_PERIODS:
+        raise InputError(
+            f"motion.vibration.frequency_hz: found {motion.vibration.frequency_hz:g}, {periods:.3g}"
+            f" periods during the sequence, allowed up to {_MOST_PERIODS:g} of a press, which is "
+            f"pressed at 5 moments; lower it, or {remedy}"
         )
     along = motion.vibration.amplitude_um > 0.0 and motion.vibration.direction != "z"
     slides = motion.x_mm_s or motion.y_mm_s or motion.twist_deg_s or along

@@ -36,6 +36,11 @@ class MovingFace:
     face_at: "Callable[[float], FaceGrid]"
     any_time: ClassVar[bool] = False
 
+    @property
+    def vibrates(self) -> bool:
+        """Whether the motion has a vibration."""
+        return self.experiment.motion.vibration.amplitude_um > 0.0
+
     @cached_property
     def _loaded(self) -> dict[float, tuple[Any, Rig]]:
         return {}

@@ -33,6 +33,11 @@ class MovingSpecimen:
     samples: int
     any_time: ClassVar[bool] = True
 
+    @property
+    def vibrates(self) -> bool:
+        """Whether the motion has a vibration."""
+        return self.motion.vibration.amplitude_um > 0.0
+
     def rig_at(self, time_s: float) -> Rig:
         """Return the rig relative to the scene at a time."""
         return moving_rig(self.rig, self.motion.pose_at(time_s)[None], mi.UInt32(0))

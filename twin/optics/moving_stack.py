@@ -67,6 +67,10 @@ class PatchedScene(MovingScene, Protocol):
 
     any_time: ClassVar[bool]
 
+    @property
+    def vibrates(self) -> bool:
+        """Whether the motion has a vibration."""
+
     def patches_at(self, time_s: float) -> Patches:
         """Return the traced rays of all pixels at a time."""
 
@@ -183,7 +187,9 @@ class MovingStack:
     def _moments(self) -> _Moments:
         """Trace 3 moments, and more if this costs less than tracing pixels at equal steps."""
         traced: dict[float, tuple[LanePaths, BoolImage]] = {}
-        for count in MOMENTS if self.scene.any_time else MOMENTS[:-1]:
+        counts = MOMENTS if self.scene.any_time else MOMENTS[:-1]
+        # At 3 moments an odd function of time, such as a sine, is equal to a straight line.
+        for count in counts[1:] if self.scene.vibrates else counts:
             places = [round(float(place), 12) for place in moment_places(count)]
             for place in places:
                 if place not in traced:

@@ -48,7 +48,7 @@ SectionAt = Callable[[float], tuple[FloatArray, FloatArray]]
 
 
 @dataclass(frozen=True, eq=False)
-class Film:
+class MotionFilm:
     """Content of a film.
 
     Attributes
@@ -84,7 +84,7 @@ def film_sections(measured: Measurement) -> list[Section]:
     return [Section("film", "Motion during the sequence", (figure,))]
 
 
-def film_of(measured: Measurement) -> Film:
+def film_of(measured: Measurement) -> MotionFilm:
     """Return the film of a measured moving scene.
 
     Raises
@@ -95,7 +95,7 @@ def film_of(measured: Measurement) -> Film:
     times = frame_times_s(measured.experiment)
     shown = shown_frames(len(times.start_s))
     block = -(-max(capture.stack[0].shape) // _SHOWN_PX)
-    return Film(
+    return MotionFilm(
         images=np.array([block_mean(capture.stack[frame], block) for frame in shown]),
         times_s=(times.start_s + times.duration_s / 2.0)[shown],
         labels=tuple(capture.patterns.frames[frame].kind for frame in shown),
@@ -158,7 +158,7 @@ def _interpolated(
     return s_mm, np.asarray(np.array(weights) @ profiles_mm)
 
 
-def _draw(film: Film, path: Path) -> None:
+def _draw(film: MotionFilm, path: Path) -> None:
     rows, cols = film.images.shape[1:]
     size_in = _IMAGE_IN + _PLOT_IN + 1.1, _TOP_IN + _IMAGE_IN * rows / cols + 0.5
     reliefs = Reliefs.of(film)
@@ -188,7 +188,7 @@ class Reliefs:
     change_um: FloatArray
 
     @classmethod
-    def of(cls, film: Film) -> "Reliefs":
+    def of(cls, film: MotionFilm) -> "Reliefs":
         """Return the sections of a film."""
         s_mm, z_mm = _in_order(film.section_at(0.0))
         later = [_in_order(film.section_at(float(time_s))) for time_s in film.times_s]
