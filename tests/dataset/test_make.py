@@ -109,6 +109,26 @@ def test_each_format_has_the_same_arrays(made: MadeSet, tmp_path) -> None:
     assert score == score_baseline("decoded", made.folder).figures()
 
 
+def test_a_tar_shard_is_that_of_tarfile(made: MadeSet) -> None:
+    """Expected: the bytes that Python's own writer gives for the members; arrays as by NumPy."""
+    for shard in sorted(made.folder.glob("*.tar")):
+        expected = io.BytesIO()
+        with (
+            tarfile.open(shard) as tar,
+            tarfile.open(fileobj=expected, mode="w", format=tarfile.USTAR_FORMAT) as copied,
+        ):
+            for member in tar:
+                content = tar.extractfile(member).read()
+                plain = tarfile.TarInfo(member.name)
+                plain.size, plain.mode = len(content), 0o644
+                copied.addfile(plain, io.BytesIO(content))
+                if member.name.endswith(".npy"):
+                    saved = io.BytesIO()
+                    np.save(saved, np.load(io.BytesIO(content)))
+                    assert saved.getvalue() == content
+        assert shard.read_bytes() == expected.getvalue()
+
+
 def test_packing_again_gives_the_same_bytes_and_removes_shards(made: MadeSet, tmp_path) -> None:
     again = tmp_path / "again"
     few = made.recipe.model_copy(update={"shard_mb": 100.0})

@@ -122,3 +122,41 @@ def test_unsupported_specimens_are_rejected(mi, name, settings, message):
 
     with pytest.raises(InputError, match=message):
         render_bare(load_experiment(name, SMALL | settings))
+
+
+def test_another_pose_of_the_rig_uses_the_same_kernels(mi):
+    """Expected: every kernel of the second rig is in the cache, whatever its numbers."""
+    import drjit as dr
+
+    from twin.pipeline import Memory, render_bare
+
+    first = load_experiment("examples/gauges", SMALL)
+    moved = {"projector.pose.polar_deg": 21.5, "camera.pose.standoff_mm": 240.0}
+    second = load_experiment("examples/gauges", SMALL | moved)
+    before = render_bare(first, memory=Memory()).frames[0]
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        after = render_bare(second, memory=Memory()).frames[0]
+        history = dr.kernel_history([dr.KernelType.JIT])
+    assert len(history) > 0
+    assert [kernel["hash"] for kernel in history if not kernel["cache_hit"]] == []
+    assert not np.array_equal(before, after)
+
+
+def test_nothing_is_traced_where_nothing_is_reflected_again():
+    """Expected: matte parts without bounces have no indirect light; polished ones always have."""
+    from twin.optics.session import renderer_session
+
+    with renderer_session():
+        from twin.pipeline import trace
+
+    for settings, has_light in (
+        ({"render.bounces": 0}, False),
+        ({"render.bounces": 1}, True),
+        ({"render.bounces": 0, "roughness": 0.05}, True),
+    ):
+        roughness = settings.pop("roughness", 0.4)
+        experiment = direct(roughness, **settings)
+        geometry = trace.load_bare(experiment)
+        indirect = trace.bounces_of(experiment, geometry, None, {})
+        assert (indirect is not None) == has_light

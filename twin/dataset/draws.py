@@ -65,16 +65,12 @@ def share_of(seed: int, quantity: str, number: int) -> float:
 
 
 def draw_sample(recipe: Recipe, bases: Sequence[Experiment], number: int) -> SampleDraw:
-    """Draw one sample of a recipe.
+    """Draw one sample of a recipe; it has no case, but a reason, if its experiment is not valid.
 
     Parameters
     ----------
     bases : base experiment of each scene of the recipe
     number : number of the sample, from 0
-
-    Raises
-    ------
-    ConfigError : a key of the inputs is not in the experiment
     """
     place = scene_of(recipe, number)
     scene, base = recipe.scene[place], bases[place]

@@ -16,12 +16,8 @@ from reconstruction.rig.pinhole import Pinhole
 from reconstruction.writing import write_bytes, write_png
 from twin.config import Experiment
 from twin.config.dataset import SampleContent
-from twin.dataset.quantities import (
-    SAMPLE_QUANTITIES,
-    TakenSample,
-    check_held,
-    needs_decoding,
-)
+from twin.dataset.quantities import SAMPLE_QUANTITIES, check_held, needs_decoding
+from twin.dataset.taken import TakenSample
 from twin.output import write_json
 from twin.pipeline import measure
 from twin.pipeline.captures import options_of

@@ -229,14 +229,14 @@ class Surfaces:
         """Return True for hits on a clear or polished body (one of `sharp`), `mi.Bool`."""
         sharp = dr.zeros(mi.Bool, dr.width(hit.t))
         for body in self.sharp:
-            sharp |= hit.shape == mi.ShapePtr(body.shape)
+            sharp |= hit.shape == dr.opaque(mi.ShapePtr, body.shape)
         return sharp
 
     def is_stage(self, hit: Any) -> Any:
         """Return True for hits on the stage, `mi.Bool`."""
         if self.stage is None:
             return dr.zeros(mi.Bool, dr.width(hit.t))
-        return hit.shape == mi.ShapePtr(self.stage)
+        return hit.shape == dr.opaque(mi.ShapePtr, self.stage)
 
     def on_stage(self, hit: Any) -> Any:
         """Return True for hits on the upper side of the stage, `mi.Bool`."""
@@ -251,6 +251,6 @@ class Surfaces:
         absorption = mi.Float(0.0)
         for body in self.sharp:
             if body.absorption_per_mm:
-                here = hit.shape == mi.ShapePtr(body.shape)
+                here = hit.shape == dr.opaque(mi.ShapePtr, body.shape)
                 absorption = dr.select(here, body.absorption_per_mm, absorption)
         return dr.select(inside, dr.exp(-absorption * hit.t), 1.0)
