@@ -79,11 +79,19 @@ def main() -> int:
     cases = chosen.cases or (100 if chosen.quick else 1000)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        (folder / "temporary").mkdir()
-        os.environ |= {LOG: str(folder / "log"), "TMPDIR": str(folder / "temporary")}
+        # Own folders, which no other process uses.
+        for own in ("temporary", "kernels"):
+            (folder / own).mkdir()
+        os.environ |= {
+            LOG: str(folder / "log"),
+            "TMPDIR": str(folder / "temporary"),
+            "DRJIT_CACHE_DIR": str(folder / "kernels"),
+        }
         workers = local_workers(1, cores=2)
         sweep(record_of(cases), folder / "out", workers, make_measurer=WatchedMeasurer)
         rows = np.loadtxt(folder / "log")
+    for row in rows[9::10]:
+        print(*(f"{figure}={value:g}" for figure, value in zip(NAMES, row, strict=True)))
     second = rows[len(rows) // 2 :]
     growth = 1000 * np.polyfit(np.arange(len(second)), second, 1)[0]
     figures: dict[str, object] = {"cases": len(rows)}
