@@ -24,8 +24,8 @@ def run(arguments: list[str] | None = None) -> int:
 
 def main() -> None:
     """Entry point of the `twin` command."""
-    end_within(SIGNAL_DELAY_S)
     try:
+        end_within(SIGNAL_DELAY_S)
         unwind_on_signals()
         code = _prepared_run()
     except KeyboardInterrupt as error:
