@@ -44,6 +44,7 @@ from benchmarks.fuzz_numbers import (
 )
 from benchmarks.fuzzing import FuzzOutcome, ended
 from twin.study.worker import die_with
+from twin.working import BY_SIGNAL, ENDING_SIGNALS
 
 LIMIT_S = 60.0
 _MOST_DRAWS = 30
@@ -149,6 +150,8 @@ def _run_case(seed: int, messages: Path) -> FuzzOutcome:
     skip, start = messages.stat().st_size, time.monotonic()
     try:
         code = command(words)
+        if code - BY_SIGNAL in ENDING_SIGNALS:
+            sys.exit(code)  # a signal ends this process, not only the case
     except Exception:
         sys.excepthook(*sys.exc_info())  # type: ignore[arg-type]
         code = 1

@@ -38,8 +38,7 @@ path = "coating.base_albedo"
 values = [0.3, 0.4, 0.5, 0.6]
 """
 _SCAN = """name = "signals"
-base = "scans/relief_plate"
-set = { camera = { binning = 4 } }
+base = "plate.toml"
 seed = 3
 [grid]
 columns = 2
@@ -48,6 +47,10 @@ step_x_mm = 12.0
 step_y_mm = 7.0
 [map]
 pitch_mm = 0.3
+"""
+_PLATE = """use = "scenes/scans/relief_plate"
+[camera]
+binning = 4
 """
 COMMANDS = {
     "press slab": f"press examples/slab_ball {_SLAB} -o out",
@@ -113,6 +116,7 @@ def signalled(name: str, count: int, rng: random.Random, stopped: bool) -> Itera
         folder = Path(place)
         (folder / "study.toml").write_text(_STUDY)
         (folder / "scan.toml").write_text(_SCAN)
+        (folder / "plate.toml").write_text(_PLATE)
         for warm in (True, False):  # the first run compiles kernels
             start = time.monotonic()
             child = _started(name, folder / ("warm" if warm else "whole"))

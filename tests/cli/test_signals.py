@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -94,9 +95,9 @@ from twin.working import end_within, unwind_on_signals
 end_within(0.05)
 unwind_on_signals()
 sys.modules["multiprocessing"] = types.ModuleType("multiprocessing")
-print("busy", flush=True)
 while True:
     try:
+        print("busy", flush=True)
         time.sleep(60)
     except BaseException:
         pass
@@ -153,3 +154,38 @@ def test_a_stopped_worker_ends_with_an_interrupted_run():
         workers.shutdown()
     with pytest.raises(ProcessLookupError):
         os.kill(worker, 0)
+
+
+# A process starts a mesher and is killed; the mesher runs native code for ever.
+PARENT = """
+import os, signal, subprocess, sys
+child = "import hashlib, os\\n"
+child += "from twin.mechanics.reference.tetwild_child import end_with_parent\\n"
+child += "end_with_parent(); print(os.getpid(), flush=True)\\n"
+child += "hashlib.pbkdf2_hmac('sha512', b'', b'', 2_000_000_000)"
+mesher = subprocess.Popen([sys.executable, "-c", child], stdout=subprocess.PIPE, text=True)
+print(mesher.stdout.readline(), flush=True)
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux ends a child with its parent")
+def test_a_mesher_ends_with_its_parent():
+    line = [sys.executable, "-c", PARENT]
+    ended = subprocess.run(line, cwd=ROOT, capture_output=True, text=True, check=False)
+    mesher = int(ended.stdout)
+    for _ in range(1000):
+        if not is_running(mesher):
+            return
+        time.sleep(0.02)
+    os.kill(mesher, signal.SIGKILL)
+    pytest.fail("the mesher is still running")
+
+
+def is_running(process: int) -> bool:
+    """Return False for an ended process, also if its exit status was not read yet."""
+    try:
+        stat = Path(f"/proc/{process}/stat").read_text()
+    except OSError:
+        return False
+    return stat.rpartition(")")[2].split()[0] != "Z"

@@ -4,6 +4,10 @@ The signals of a command have their handlers before any package that takes long 
 commands are in `twin.cli.commands`, and import the packages that they need.
 """
 
+import gc
+
+from reconstruction.machine import keep_freed_memory
+from twin.cli.environment import prepare_environment
 from twin.working import end_by_signal, end_process, end_within, unwind_on_signals
 
 __all__ = ["main", "run"]
@@ -24,22 +28,13 @@ def run(arguments: list[str] | None = None) -> int:
 
 def main() -> None:
     """Entry point of the `twin` command."""
-    end_within(SIGNAL_DELAY_S)
     try:
+        prepare_environment()  # first: the pipe of `end_within` must not get a stream's number
+        end_within(SIGNAL_DELAY_S)
         unwind_on_signals()
-        code = _prepared_run()
+        gc.set_threshold(OBJECTS_PER_COLLECTION)
+        keep_freed_memory()
+        code = run()
     except KeyboardInterrupt as error:
         code = end_by_signal(error)
     end_process(code)
-
-
-def _prepared_run() -> int:
-    import gc
-
-    from reconstruction.machine import keep_freed_memory
-    from twin.cli.environment import prepare_environment
-
-    prepare_environment()
-    gc.set_threshold(OBJECTS_PER_COLLECTION)
-    keep_freed_memory()
-    return run()

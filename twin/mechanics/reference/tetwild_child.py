@@ -1,14 +1,25 @@
 """Program that runs pytetwild for `tetrahedra` in its own process, which pytetwild may crash.
 
 Its arguments are an input and an output path (npz). It imports no module of the twin, so that it
-starts fast.
+starts fast. It ends with its parent: a mesh may take minutes, in which no Python code runs.
 """
 
+import ctypes
 import importlib.util
+import signal
 import sys
 import types
 
 import numpy as np
+
+_PR_SET_PDEATHSIG = 1  # of Linux, see prctl(2)
+
+
+def end_with_parent() -> None:
+    """End this process when its parent ends (Linux) or when Ctrl-C is pressed, also in a mesher."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
 
 
 def main(source: str, target: str) -> None:
@@ -34,4 +45,5 @@ def main(source: str, target: str) -> None:
 
 
 if __name__ == "__main__":
+    end_with_parent()
     main(sys.argv[1], sys.argv[2])
