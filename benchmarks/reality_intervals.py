@@ -11,6 +11,7 @@ calibrations_refused_rightly: share of inputs with the right end. Wrong inputs (
 interval_coverage: share of the rig's parameters that agree within two standard uncertainties
     between disjoint sets of poses. The errors of the features are correlated over a third of the
     board; camera and board have errors that the model does not describe: k2, and a bend.
+interval_coverage_sigma: standard uncertainty of this share, from its scatter over the pairs.
 independent_coverage: the same by the covariance of independent errors, for comparison.
 real_coverage: the same on the public captures in ../shared/cases, if present; as they have five
     poses, sets of three poses with one common pose are compared.
@@ -161,6 +162,16 @@ def coverage(fits: Sequence[tuple[Adjustment, Adjustment]], name: str = "covaria
     return float(np.mean(np.concatenate([scores(*pair, name) for pair in fits]) <= 2.0))
 
 
+def coverage_sigma(fits: Sequence[tuple[Adjustment, Adjustment]]) -> float:
+    """Return the standard uncertainty of `coverage`, from the scatter of the pairs' own shares.
+
+    The parameters of one pair are correlated, so that a binomial interval of all scores would be
+    too narrow.
+    """
+    shares = [coverage([pair]) for pair in fits]
+    return float(np.std(shares, ddof=1) / np.sqrt(len(shares)))
+
+
 def real_pairs(folder: Path) -> list[tuple[Adjustment, Adjustment]]:
     """Return adjustments of pairs of three real poses each, with as few common poses as possible.
 
@@ -291,6 +302,7 @@ def reality_intervals(quick: bool) -> dict[str, float]:
     figures = {
         "calibrations_refused_rightly": refused_rightly(),
         "interval_coverage": coverage(fits),
+        "interval_coverage_sigma": coverage_sigma(fits),
         "independent_coverage": coverage(fits, "independent_covariance"),
     }
     if CASE.is_dir():

@@ -30,6 +30,8 @@ _WITHIN = 1.5
 # Least response of a dot, relative to the median of the image's dots: a dot in a shadow, or at the
 # border of another, is weaker.
 _LEAST_RESPONSE = 0.45
+# Responses up to this value are rounding: that of a dot with a contrast of 0.01 % is larger.
+_LEAST_VISIBLE = 5e-5
 # Least median response over the noise of the responses (robust standard deviation).
 _LEAST_OVER_NOISE = 8.0
 _SIGMA_PER_MAD = 1.4826
@@ -156,9 +158,10 @@ def _maxima(light: FloatArray, scales_px: Sequence[float]) -> _Blobs:
     The first and the last scale have no maxima, because one neighbour is unknown.
     """
     dark = np.log(np.maximum(light, _DARKEST * light.max()))
+    dark -= np.median(dark)  # the weights of the truncated filter do not sum to 0 exactly
     stack = np.stack([s**2 * ndimage.gaussian_laplace(dark, s) for s in scales_px])
     highest = ndimage.maximum_filter(stack, size=3, mode="nearest")
-    peaks = (stack == highest) & (stack > 0.0)
+    peaks = (stack == highest) & (stack > _LEAST_VISIBLE)
     peaks[0] = peaks[-1] = False
     scale, row, col = np.nonzero(peaks)
     places = np.column_stack([row, col]).astype(np.float64)
@@ -169,8 +172,9 @@ def _dots_of(blobs: _Blobs) -> _Blobs:
     """Return the maxima that are dots of the most frequent scale."""
     _require_dots(len(blobs.response))
     weight = blobs.response**2
-    votes = [float(weight[_near(blobs.scale_px, s)].sum()) for s in blobs.scale_px]
-    scale_px = blobs.scale_px[int(np.argmax(votes))]
+    scales_px = np.unique(blobs.scale_px)
+    votes = [float(weight[_near(blobs.scale_px, s)].sum()) for s in scales_px]
+    scale_px = float(scales_px[int(np.argmax(votes))])
     same = blobs.where(_near(blobs.scale_px, scale_px))
     typical = _weighted_median(same.response, same.response**2)
     dots = same.where(same.response > _LEAST_RESPONSE * typical)

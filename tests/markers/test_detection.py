@@ -35,9 +35,10 @@ def test_an_image_without_dots_is_an_error(make_image, with_noise, levels):
         find_pattern(with_noise(bare, 2, levels))
 
 
-def test_a_flat_image_is_an_error():
+@pytest.mark.parametrize("light", [1.0, 0.3])
+def test_a_flat_image_is_an_error(light):
     with pytest.raises(FitError, match="found 0 printed dots"):
-        find_pattern(np.ones((60, 80)))
+        find_pattern(np.full((60, 80), light))
 
 
 def test_covered_pixels_are_those_of_the_dots(make_image, with_noise):
