@@ -54,7 +54,7 @@ def test_smooth_fields_of_half_a_spacing(kind, amplitude):
 
 
 def test_a_slip_of_two_spacings_from_the_frame_before():
-    """Setup: 7 frames of a slip that grows by 0.4 spacings in row and col; a tenth lost in each.
+    """Setup: 7 frames of a slip that increases by 0.4 spacings; 10 % lost in each.
 
     Expected: each frame, predicted by the frame before: the true assignment. The last frame without
     prediction: displacements that differ by a multiple of the spacing.
