@@ -52,7 +52,7 @@ BOARD = Chessboard(9, 7, 18.0)
 WHITE_PX, SMOOTH_PX, REACH = 0.05, 0.1, 0.3
 # Height of the board's ends above its middle, mm.
 BEND_MM = 0.1
-PAIRS, QUICK_PAIRS, POSES_PER_SET = 40, 6, 5
+PAIRS, QUICK_PAIRS, POSES_PER_SET = 160, 6, 5
 # The estimator was chosen by sets of another seed.
 SEED = 20261127
 CASE = Path(__file__).parents[2] / "shared" / "cases" / "06_lightcrafter_912x1140"

@@ -54,9 +54,10 @@ def test_smooth_fields_of_half_a_spacing(kind, amplitude):
 
 
 def test_a_slip_of_two_spacings_from_the_frame_before():
-    """Setup: 7 frames of a slip that grows by 0.4 spacings in row and col; a tenth lost in each.
+    """Setup: 7 frames of a slip that increases by 0.4 spacings; 10 % lost in each.
 
-    Expected: each frame by that before: all right. The last one alone: shifted by whole spacings.
+    Expected: each frame, predicted by the frame before: the true assignment. The last frame without
+    prediction: displacements that differ by a multiple of the spacing.
     """
     rng = np.random.default_rng(4)
     before = np.indices((7, 9)).reshape(2, -1).T * SPACING_PX + rng.normal(0.0, 1.0, (63, 2))

@@ -53,7 +53,7 @@ def rendered_dots_section(measured: Measurement) -> list[Section]:
         return [Section("dots", "Printed dots", (Note(NO_DOTS),))]
     motion, picture = dots.motion, measured.picture
     arrows = Figure(
-        "dots",
+        "dot_arrows",
         "Displacement of the printed dots",
         "Image of the press; the arrows start at the places without contact.",
         "Displacements of the printed dots as arrows over the image.",
