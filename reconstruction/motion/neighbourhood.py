@@ -15,7 +15,6 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
-from scipy import ndimage
 
 from reconstruction.arrays import BoolImage, FloatArray, Stack
 from reconstruction.decoding import AxisDecode, Decoded
@@ -136,4 +135,6 @@ def _sigma_nearby(weights: FloatArray, window_px: float) -> FloatArray:
 
 
 def _blurred(image: FloatArray, window_px: float) -> FloatArray:
+    from scipy import ndimage  # only a prediction needs it
+
     return np.asarray(ndimage.gaussian_filter(image, window_px, mode="constant"))

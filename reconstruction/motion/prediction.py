@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy import ndimage
 
 from reconstruction.arrays import BoolImage, FloatArray, FloatImage, Stack
 from reconstruction.codes import Rule
@@ -267,6 +266,8 @@ def _light_changes(
 
 def _smooth(image: FloatArray, known: BoolImage) -> FloatArray:
     """Return the Gaussian mean of the known pixels of an image, (row, col)."""
+    from scipy import ndimage  # only a prediction needs it: a decoding starts faster without
+
     weight = ndimage.gaussian_filter(known.astype(np.float64), _WINDOW_PX)
     total = ndimage.gaussian_filter(np.where(known, image, 0.0), _WINDOW_PX)
     mean: FloatArray = np.zeros(known.shape)
