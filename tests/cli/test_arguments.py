@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from twin import cli
-from twin.cli.app import app
 from twin.cli.calibration import with_repeated_options
+from twin.cli.commands import app
 
 ALL = ("k1", "k2", "p1", "p2", "k3")
 

@@ -17,8 +17,9 @@ from tests.docs.documents import DOCS, PAGES, ROOT, Block, blocks, command_lines
 from tests.optics.measured_tables import matte_table
 from twin.assets import list_assets
 from twin.cli import run
-from twin.cli.app import app, settings_of
+from twin.cli.app import settings_of
 from twin.cli.calibration import with_repeated_options
+from twin.cli.commands import app
 from twin.cli.plugins import without_plugins
 from twin.cli.talk import choose_level
 from twin.config import load_experiment
