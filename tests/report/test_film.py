@@ -9,9 +9,11 @@ import pytest
 import twin
 from twin.config import load_experiment
 from twin.config.motion import Motion
+from twin.pipeline.methods import measure_into
 from twin.report import film
 from twin.report.film import MotionFilm, Reliefs, film_of, film_sections, shown_frames
 from twin.report.measurement import page_of
+from twin.results.folder import read_measurement
 
 DISC = Path(__file__).parents[1] / "optics" / "disc_on_stage.toml"
 SMALL = {
@@ -79,6 +81,29 @@ def test_the_page_of_a_moving_specimen_has_a_film(mi, tmp_path):
     assert len(moving.times_s) == len(measured.fringes.capture.stack)
     change_um = Reliefs.of(moving).change_um
     np.testing.assert_allclose(change_um, 5e3 * moving.times_s[:, None] + 0 * change_um, atol=1e-6)
+
+
+def test_the_film_of_a_press_is_drawn_from_its_folder(mi, tmp_path):
+    """The apex of a coat that a ball lifts by 0.1 mm/s rises at each time; nothing is pressed."""
+    settings = {
+        "camera.binning": 4,
+        "camera.width_px": 640,
+        "camera.height_px": 480,
+        "camera.exposure_ms": 11.12,
+        "patterns.steps": 3,
+        "patterns.axes": ["column"],
+        "press.solver_pitch_mm": 0.4,
+        "motion.z_mm_s": 0.1,
+    }
+    measure_into(tmp_path, "measure", load_experiment("examples/slab_ball", settings))
+    stored = read_measurement(tmp_path)
+    assert len(stored.pressed_at_ends) == 2
+    (section,) = film_sections(stored)
+    assert "three presses" in section.blocks[0].caption
+    rises_um = Reliefs.of(film_of(stored)).change_um.max(axis=1)
+    assert (np.diff(np.where(film_of(stored).times_s > 0, rises_um, -1.0)) >= 0).all()
+    (tmp_path / "press_end.nc").unlink()
+    assert not film_sections(read_measurement(tmp_path))
 
 
 def test_a_scene_at_rest_has_no_film(mi):

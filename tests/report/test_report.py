@@ -201,7 +201,7 @@ def test_folder_that_is_no_result_is_refused(tmp_path):
 def test_nothing_here_measures():
     """Reports import no module that presses, renders or reconstructs, only those for results."""
     read = {
-        "calibration",
+        "board_calibration",
         "colour_images",
         "colour_presses",
         "comparison",

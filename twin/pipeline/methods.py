@@ -1,20 +1,24 @@
 """Run one virtual measurement by the method that the experiment names; check it beforehand."""
 
+from dataclasses import replace
 from pathlib import Path
 from types import NoneType
 
 from reconstruction.errors import InputError, require_instance, require_integer
 from twin.camera import NoiseFunction
 from twin.config import Experiment, require_experiment
+from twin.config.instant import elastic_at
 from twin.config.sensor_layer import SensorLayer
 from twin.mechanics import check_press
 from twin.optics.checks import check_renderable
+from twin.optics.frame_times import sequence_ends_s
 from twin.pipeline.bound import bounds_of
 from twin.pipeline.colours import check_sensor, measure_colours
 from twin.pipeline.compensation import with_compensation
 from twin.pipeline.fringes import RunContext, measure_fringes
 from twin.pipeline.lit_frames import check_layers
 from twin.pipeline.memory import Memory
+from twin.pipeline.press import press_specimen
 from twin.pipeline.progress import ProgressCallback, Stopwatch, no_progress
 from twin.results.folder import as_stored, write_measurement
 from twin.results.names import compensates_at_once
@@ -107,6 +111,8 @@ def measure_whole(
     coat. The object under a slab is not computed, because its fit takes several seconds; the
     command `twin compensate` computes it.
 
+    Of a moving press it has the presses at both ends of the sequence.
+
     Raises
     ------
     InputError, MissingBackend : for the reasons of `measure`
@@ -116,6 +122,9 @@ def measure_whole(
         watch("compensate", 0.0)
         done = with_compensation(done)
         watch("compensate", 1.0)
+    if done.pressed is not None and experiment.motion.moves:
+        ends = (elastic_at(experiment, time_s) for time_s in sequence_ends_s(experiment))
+        done = replace(done, pressed_at_ends=tuple(press_specimen(end) for end in ends))
     return done
 
 

@@ -2,7 +2,7 @@
 
 The film is an animated PNG, slower than the sequence. The section of a bare specimen is its true
 surface at time 0, moved rigidly. The section of a pressed coat is quadratic in time between the
-presses at the start of the sequence, at time 0 and at its end, which are computed for the film.
+presses at the start of the sequence, at time 0 and at its end.
 """
 
 from collections.abc import Callable
@@ -15,12 +15,10 @@ from matplotlib.figure import Figure as Canvas
 
 from reconstruction.arrays import FloatArray, FloatImage, IntArray
 from reconstruction.capture.folder import Capture
-from twin.config.instant import elastic_at
 from twin.config.motion import Motion
 from twin.mechanics import PressedElastomer
 from twin.optics.frame_times import frame_times_s, sequence_ends_s
 from twin.optics.stack import Truth
-from twin.pipeline.press import press_specimen
 from twin.report.camera_images import block_mean
 from twin.report.canvas import (
     FAINT,
@@ -66,8 +64,13 @@ class MotionFilm:
 
 
 def film_sections(measured: Measurement) -> list[Section]:
-    """Return the section with the film of a measurement; empty for a scene at rest."""
-    if not measured.experiment.motion.moves:
+    """Return the section with the film of a measurement.
+
+    It is empty for a scene at rest, and without the presses at the ends of a moving press: the
+    figures of `measure_whole` include them.
+    """
+    is_open = measured.pressed is not None and not measured.pressed_at_ends
+    if is_open or not measured.experiment.motion.moves:
         return []
     film = film_of(measured)
     how = "rigidly moved" if measured.pressed is None else "interpolated between three presses"
@@ -85,12 +88,7 @@ def film_sections(measured: Measurement) -> list[Section]:
 
 
 def film_of(measured: Measurement) -> MotionFilm:
-    """Return the film of a measured moving scene.
-
-    Raises
-    ------
-    InputError : a press at one end of the sequence is invalid
-    """
+    """Return the film of a measured moving scene."""
     capture: Capture = measured.fringes.capture
     times = frame_times_s(measured.experiment)
     shown = shown_frames(len(times.start_s))
@@ -141,7 +139,7 @@ def _pressed_section(measured: Measurement, middle: PressedElastomer) -> Section
     reach_mm = min(float(np.ptp(middle.face_x_mm)), float(np.ptp(middle.face_y_mm))) / 2.0
     s_mm = np.linspace(-reach_mm, reach_mm, _SECTION_POINTS)
     ends_s = sequence_ends_s(experiment)
-    first, last = (press_specimen(elastic_at(experiment, time_s)) for time_s in ends_s)
+    first, last = measured.pressed_at_ends
     profiles_mm = [face_profile(pressed, trace, s_mm) for pressed in (first, middle, last)]
     nodes_s = np.array([ends_s[0], 0.0, ends_s[1]])
     return partial(_interpolated, s_mm, np.array(profiles_mm), nodes_s)

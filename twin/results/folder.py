@@ -5,6 +5,7 @@
 | result.json | metrics (units in their names), digest, versions |
 | experiment.toml | the resolved experiment |
 | press.nc, coated_face.ply | fields of the pressed elastomer and the coated face |
+| press_start.nc, press_end.nc | of a moving press: at the first and the last time of the sequence |
 | truth.nc | point, normal, depth, projector pixel behind every pixel |
 | points.ply | point cloud |
 
@@ -55,7 +56,7 @@ from reconstruction.pipeline import Reconstruction, read_reconstruction, write_r
 from reconstruction.reading import is_regular, read_json, read_pixels
 from reconstruction.writing import write_png
 from twin.config import Experiment, load_experiment
-from twin.mechanics import PressedElastomer, read_press
+from twin.mechanics import PressedElastomer, read_press, write_press
 from twin.optics.stack import Truth
 from twin.output import EXPERIMENT_FILE, RESULT_FILE
 from twin.results.colours import decode_colours
@@ -81,6 +82,7 @@ from twin.results.under_sheet import SheetCompensation, sheet_compensation
 IMAGE_FILE, BACKGROUND_FILE, DECODERS_FILE = "image.png", "background.png", "decoders.csv"
 CALIBRATION_FILE, OTHER_CALIBRATION_FILE = "sensor_calibration.npz", "other_calibration.npz"
 _FURTHER_FILES = "other_calibration_{}.npz"
+ENDS_FILES = "press_start.nc", "press_end.nc"
 TRUTH_FILE, MAPS_FILE, HEIGHTS_FILE = "truth.nc", "reconstruction.nc", "height.nc"
 
 _MEASURING_COMMANDS = ("measure", "demo")
@@ -139,6 +141,8 @@ def write_kept(folder: Path, done: Measurement, keep: tuple[str, ...]) -> None:
     """Write the arrays that `keep` names: "press", "capture" (images), "points" (and maps)."""
     if "press" in keep and done.pressed is not None:
         write_pressed(folder, done.pressed)
+        for name, pressed in zip(ENDS_FILES, done.pressed_at_ends, strict=False):
+            write_press(folder / name, pressed)
     images = done.images
     if isinstance(images, Fringes):
         if "capture" in keep:
@@ -206,10 +210,19 @@ def read_measurement(folder: Path) -> Measurement:
         metrics=figures,
         pressed=pressed,
         compensation=_compensation_of(experiment, images),
+        pressed_at_ends=_read_ends(folder, experiment),
         digest=str(result.get("digest", "")),
         versions=result.get("versions", {}),
         seconds=_read_seconds(folder),
     )
+
+
+def _read_ends(folder: Path, experiment: Experiment) -> tuple[PressedElastomer, ...]:
+    """Return the elastomer at both ends of a moving press; empty without one or without files."""
+    paths = [folder / name for name in ENDS_FILES]
+    if not experiment.motion.moves or not all(path.exists() for path in paths):
+        return ()
+    return tuple(map(read_press, paths))
 
 
 def _compensation_of(experiment: Experiment, images: Fringes | Colours) -> SheetCompensation | None:

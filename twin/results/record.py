@@ -166,6 +166,8 @@ class Measurement:
     digest, versions : digest of the experiment, and versions of the software by package
     seconds : wall-clock time by stage, s
     compensation : reconstruction of the object under a thin sheet; None if no sheet was pressed
+    pressed_at_ends : elastomer at the start and at the end of the sequence of a moving press;
+        empty without one
     """
 
     experiment: Experiment
@@ -178,6 +180,7 @@ class Measurement:
     versions: Mapping[str, str]
     seconds: Mapping[str, float] = field(default_factory=dict)
     compensation: SheetCompensation | None = None
+    pressed_at_ends: tuple[PressedElastomer, ...] = ()
 
     def __repr__(self) -> str:
         rows, cols = self.points.reason.shape
