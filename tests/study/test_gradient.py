@@ -125,7 +125,7 @@ def test_a_study_of_bounds_renders_no_frame(study_of, base, tmp_path, monkeypatc
         raise AssertionError("not needed for a bound")
 
     for module, name in ((trace, "light"), (trace, "tables_of"), (fringes, "expose_capture"),
-                         (fringes, "reconstruct")):  # fmt: skip
+                         (fringes, "reconstruct_moving")):  # fmt: skip
         monkeypatch.setattr(module, name, refused)
     counts = {}
     for name in ("patches_of", "load_face", "view_of"):
