@@ -1,7 +1,7 @@
 """Data sets: samples per hour, share of writing, kills and resumption, number of workers.
 
 - direct projection and a thin sheet: samples per hour, one after another on this machine;
-- 300 scenes of 960 x 960 pixels with 53 frames, by the default number of workers: minutes (the
+- 300 scenes of 960 x 960 pixels with 53 frames of 8 bits, by the default number of workers: minutes (the
   published set of VIRTUS-FPP has 52 frames). With `--quick` 8 scenes are computed and the time is
   scaled to 300; `fpp_ml_scenes` states the number. `fpp_ml_processor_s` is the processor time of a
   scene by one worker, which other programs of the machine change less;
@@ -67,7 +67,7 @@ high = 10.0
 """
 DIRECT_SIZE = {"binning": 4, "width_px": 1936, "height_px": 1464}
 SMALL_SIZE = {"binning": 4, "width_px": 320, "height_px": 240}
-ML_SIZE = {"binning": 1, "width_px": 960, "height_px": 960}
+ML_SIZE = {"binning": 1, "width_px": 960, "height_px": 960, "bit_depth": 8}
 ML_SCENES, LEAST_P = 300, 0.01
 _computing_s = 0.0
 
