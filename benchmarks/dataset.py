@@ -1,10 +1,10 @@
 """Data sets: samples per hour, share of writing, kills and resumption, number of workers.
 
 - direct projection and a thin sheet: samples per hour, one after another on this machine;
-- 300 scenes of 960 x 960 pixels with 53 frames of 8 bits, by the default number of workers: minutes (the
-  published set of VIRTUS-FPP has 52 frames). With `--quick` 8 scenes are computed and the time is
-  scaled to 300; `fpp_ml_scenes` states the number. `fpp_ml_processor_s` is the processor time of a
-  scene by one worker, which other programs of the machine change less;
+- 300 scenes of 960 x 960 pixels with 53 frames of 8 bits, by the default number of workers: minutes
+  (the published set of VIRTUS-FPP has 52 frames). With `--quick` 8 scenes are computed and the time
+  is scaled to 300; `fpp_ml_scenes` states the number. `fpp_ml_processor_s` is the processor time of
+  a scene by one worker, which other programs of the machine change less;
 - the share of the time of such a set, by one worker, that is not spent on computing samples: store
   and shards;
 - a small set is made in one go, by two workers, and by runs that are killed 10 times (2 with
