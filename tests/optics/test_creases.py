@@ -8,13 +8,14 @@ from twin.config import load_experiment
 from twin.optics.creases import CREASE_DEG, split_at_creases
 from twin.specimens import bodies
 
-KINDS = ("bar", "brick", "flat", "nut", "rods", "step", "t_bolt", "v_groove")
+KINDS = ("bar", "brick", "flat", "nut", "random_relief", "rods", "step", "t_bolt", "v_groove")
 SOLIDS = {
     "icosahedron": trimesh.creation.icosahedron(),
     "box": trimesh.creation.box(),
     "cylinder": trimesh.creation.cylinder(1.0, 2.0),
     "annulus": trimesh.creation.annulus(1.0, 2.0, 1.0),
     "cone": trimesh.creation.cone(1.0, 2.0, sections=7),
+    "ball": trimesh.creation.icosphere(4),
     "triangle": trimesh.Trimesh([(0, 0, 0), (1, 0, 0), (0, 1, 0)], [(0, 1, 2)]),
 }
 
