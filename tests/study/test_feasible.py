@@ -128,7 +128,7 @@ def test_warnings_of_cases_reach_terminal_and_page(swept, tmp_path, capsys, monk
     outcome = swept()
     texts = [item.in_words(outcome.finished) for item in outcome.remarks]
     assert texts == [
-        "3 of 4 cases: the contact is 4 cells wide",
+        "3 of 4 cases: the contact is 4 cells wide (numbers of the first of them)",
         "1 of 4 cases: no point of the object (no contact in view of the camera): "
         "raise press.back_pressure_kpa, or the travel, press.depth_mm",
     ]

@@ -41,14 +41,17 @@ class Remark:
     ----------
     text : the warning as in the first case, with a remedy
     digests : digests of the cases that have the warning
+    differs : whether the numbers of other cases are different
     """
 
     text: str
     digests: tuple[str, ...]
+    differs: bool = False
 
     def in_words(self, of: int) -> str:
         """Return a text: number of cases with the warning, out of `of` cases, and the warning."""
-        return f"{len(self.digests)} of {counted(of, 'case')}: {self.text}"
+        of_first = " (numbers of the first of them)" if self.differs else ""
+        return f"{len(self.digests)} of {counted(of, 'case')}: {self.text}{of_first}"
 
 
 def remarks_of(
@@ -62,16 +65,19 @@ def remarks_of(
     of : the cases; their values may be outside the ranges of their sources
     """
     outside = {c.digest: outside_sources(c.experiment) for c in of if c.digest in figures}
-    texts: dict[str, str] = {}
+    texts: dict[str, dict[str, None]] = {}
     cases: dict[str, list[str]] = {}
     for digest, of_case in figures.items():
         for text in dict.fromkeys((*_warned(of_case), *outside.get(digest, ()))):
             kind = _NUMBER.sub("#", text)
-            texts.setdefault(kind, text)
+            texts.setdefault(kind, {})[text] = None
             if digest not in cases.setdefault(kind, []):
                 cases[kind].append(digest)
     ranked = sorted(cases.items(), key=lambda item: -len(item[1]))
-    return tuple(Remark(_with_remedy(texts[kind]), tuple(some)) for kind, some in ranked)
+    return tuple(
+        Remark(_with_remedy(next(iter(texts[kind]))), tuple(some), len(texts[kind]) > 1)
+        for kind, some in ranked
+    )
 
 
 def _with_remedy(text: str) -> str:
