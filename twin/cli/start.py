@@ -29,7 +29,7 @@ def doctor(*, warm: bool = False, clear: Annotated[bool, Parameter(negative="")]
         Also compile the kernels of ordinary measurements, so that the first measurement does not.
     clear
         First remove all compiled kernels and the stored choice of the backend; they are made again
-        when they are needed.
+        when they are needed. The cache of Dr.Jit is that of all programs of this user.
     """
     if clear:
         from twin.caches import caches
