@@ -152,7 +152,7 @@ def _run_case(seed: int, messages: Path) -> FuzzOutcome:
         code = command(words)
         if code - BY_SIGNAL in ENDING_SIGNALS:
             sys.exit(code)  # a signal ends this process, not only the case
-    except Exception:
+    except Exception:  # a traceback is what the case looks for: it is printed and counted
         sys.excepthook(*sys.exc_info())  # type: ignore[arg-type]
         code = 1
     sys.stderr.flush()

@@ -18,7 +18,7 @@ from reconstruction.colouring import Deviation, Intensity
 from reconstruction.errors import InputError
 from reconstruction.machine import run_side_by_side
 from reconstruction.netcdf import LabelledArrays, write_arrays
-from reconstruction.pipeline import write_point_map_ply
+from reconstruction.ply import write_point_map_ply
 from reconstruction.triangulation import PointMap
 from reconstruction.writing import write_bytes, write_exr_channels, write_png, write_text
 

@@ -37,7 +37,8 @@ from reconstruction.photometric.sensor import (
     calibrate_sensor,
     read_sensor_calibration,
 )
-from reconstruction.pipeline import read_maps, write_ply
+from reconstruction.pipeline import read_maps
+from reconstruction.ply import write_ply
 from reconstruction.reading import MOST_IMAGE_BYTES, read_bytes
 
 

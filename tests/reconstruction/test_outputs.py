@@ -15,10 +15,9 @@ from reconstruction.pipeline import (
     ReconstructOptions,
     read_reconstruction,
     reconstruct,
-    write_ply,
-    write_point_map_ply,
     write_reconstruction,
 )
+from reconstruction.ply import write_ply, write_point_map_ply
 from reconstruction.rig.sensor import SensorNoise
 from reconstruction.triangulation.normals import surface_normals
 

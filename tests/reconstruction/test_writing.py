@@ -15,7 +15,7 @@ import pytest
 
 from reconstruction.evaluate.surface import SurfaceMesh, write_mesh_ply
 from reconstruction.netcdf import LabelledArrays, write_arrays
-from reconstruction.pipeline import write_ply
+from reconstruction.ply import write_ply
 from reconstruction.writing import (
     write_bytes,
     write_exr_channels,

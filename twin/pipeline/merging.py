@@ -26,9 +26,9 @@ from reconstruction.pipeline import (
     Reconstruction,
     reconstruct,
     reconstruction_arrays,
-    write_ply,
     write_reconstruction,
 )
+from reconstruction.ply import write_ply
 from reconstruction.rig.calibration import Calibration
 from reconstruction.stereo import DecodedView, triangulate_cameras
 from reconstruction.triangulation import PointMap

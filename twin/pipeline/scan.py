@@ -21,7 +21,8 @@ from reconstruction.drawing import Drawing, draw_cells, gridded
 from reconstruction.errors import InputError
 from reconstruction.evaluate.surface import HeightGrid, typical_distance_mm, write_heights
 from reconstruction.netcdf import write_arrays
-from reconstruction.pipeline import read_reconstruction, write_ply
+from reconstruction.pipeline import read_reconstruction
+from reconstruction.ply import write_ply
 from reconstruction.reading import is_regular, read_json
 from reconstruction.scan.elements import surface_elements
 from reconstruction.scan.fusion import PartPoints, ScanMap, fuse, map_arrays, part_points
