@@ -19,7 +19,7 @@ from twin.mechanics.press import check_outline
 from twin.mechanics.sheet.energy import Bodies, Sheet
 from twin.mechanics.sheet.grid import Frame, sheet_grid, span_mm
 from twin.mechanics.sheet.laws import Laws
-from twin.mechanics.sheet.splines import SplineLine, Widths, graded_line
+from twin.mechanics.sheet.splines import GROWTH, SplineLine, Widths, graded_line
 from twin.mechanics.sheet.thickness import SheetThickness, sheet_thickness
 from twin.mechanics.size import check_face_nodes
 from twin.mechanics.validity import THINNEST
@@ -49,6 +49,8 @@ class Cells:
     box_mm: Box
     #: largest widths along x and y where cells may be wider than the pitch
     allowed: tuple[Widths, Widths] | None = None
+    #: change of the width over distance outside the box
+    growth: float = GROWTH
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,8 +106,8 @@ class SheetCase:
         widths = cells.pitch_mm, cells.rim_mm, _LONGEST_CELL_MM
         along_x, along_y = cells.allowed or (None, None)
         return (
-            graded_line(x_span, (west, east), *widths, allowed=along_x),
-            graded_line(y_span, (south, north), *widths, allowed=along_y),
+            graded_line(x_span, (west, east), *widths, allowed=along_x, growth=cells.growth),
+            graded_line(y_span, (south, north), *widths, allowed=along_y, growth=cells.growth),
         )
 
 

@@ -24,7 +24,13 @@ from twin.mechanics.sheet.kernel import (
     surface_rows,
 )
 from twin.mechanics.sheet.laws import Grip, Laws, Touch
-from twin.mechanics.sheet.linear_solver import ACCURACY, LinearSolver, linear_solver, threads_for
+from twin.mechanics.sheet.linear_solver import (
+    ACCURACY,
+    Approximation,
+    LinearSolver,
+    linear_solver,
+    threads_for,
+)
 from twin.mechanics.sheet.point import ContactState, EvaluationOptions
 from twin.mechanics.sheet.rim import RimSpring, rim_springs
 from twin.mechanics.sheet.stencil import Stencil, control_areas, stencil
@@ -257,15 +263,29 @@ class Sheet:
 
         The viscosity, kPa/mm, times each control point's area is added to the diagonal.
         """
-        values = self._tangent.reshape(-1)[self.system.stencil.taken]
+        return self.system.solver.factorise(self._damped(viscosity))
+
+    def _damped(self, viscosity: float) -> FloatArray:
+        """Return the upper triangle (element,) of the latest tangent plus a viscosity, mN/mm."""
+        values: FloatArray = self._tangent.reshape(-1)[self.system.stencil.taken]
         if viscosity:
             weights = np.repeat(self.area_mm2[..., None], 3, axis=2)[self.grid.free]
             values[self.system.stencil.start[:-1]] += viscosity * weights
-        return self.system.solver.factorise(values)
+        return values
 
     def newton_step_mm(self) -> FloatArray:
         """Return the Newton step, (row + 2, col + 2, xyz), from latest forces and factorisation."""
         return self.answer_mm(self.forces(), _OF_A_STEP)
+
+    def approximate_step_mm(self, viscosity: float) -> tuple[FloatArray, Approximation]:
+        """Return Newton's step, as `newton_step_mm`, for the latest tangent without its factors.
+
+        The second result states how accurate it is, see `LinearSolver.approximate`.
+        """
+        near = self.system.solver.approximate(self._damped(viscosity), self.forces())
+        step = np.zeros(self._forces.shape)
+        step[self.grid.free] = -near.solution
+        return step, near
 
     def answer_mm(self, forces: FloatArray, accuracy: float = ACCURACY) -> FloatArray:
         """Return minus the solution for forces (unknown,) by the latest factorisation, mm.

@@ -38,6 +38,10 @@ _ROUNDING, _LEAST_BY_FORCES = 1e-11, 0.25
 _FACTORS_SERVE, _SERVE_LONGER, _CONVERGES = 100.0, 10.0, 0.4
 # Of the tolerance of a step: after a step not longer than this the factors are expected to serve.
 _SHORT = 30.0
+# With factors of an earlier step as preconditioner: the length, of the tolerance of a step, of a step
+# after which an equilibrium is expected; and the largest residual of a step that is used. After a
+# step that `Approximation.is_accurate` does not call accurate new factors follow.
+_SHORT_KEPT, _USEFUL = 0.25, 0.25
 # Of the tolerance of a step: the damped steps of a soft sheet are much shorter than its distance to
 # the equilibrium.
 _DAMPED = 0.1
@@ -114,8 +118,12 @@ class _Descent:
     #: evaluation that the sheet's forces and tangent belong to
     now: Evaluation = field(init=False)
     damping: _Damping = field(init=False, default=_Damping())
-    #: the last factors are used for the next step
+    #: the last factors and their tangent are used for the next step
     serves: bool = field(init=False, default=False)
+    #: the last factors are tried as preconditioner of the next tangent
+    keeps: bool = field(init=False, default=False)
+    #: they were the preconditioner of the last step's tangent
+    kept: bool = field(init=False, default=False)
     step_mm: FloatArray = field(init=False)
     viscosity: float = field(init=False, default=0.0)
     share: float = field(init=False, default=1.0)
@@ -149,15 +157,8 @@ class _Descent:
     def descend(self) -> None:
         """Take one Newton step, shortened by the line search; store step, share and gain."""
         self.before_kpa = self.residual_kpa
-        if not self.serves:
-            if not self.now.tangent:
-                self.move(self.control_mm)
-            self.damping = _definite(self, self.damping)
+        step = self._step_mm()
         gradient = self.sheet.forces()
-        step = self.sheet.newton_step_mm()
-        if self.damping.viscosity and np.abs(step).max() > _LARGEST_MOVE_MM:  # nearly indefinite
-            self.damping = _definite(self, self.damping.times(_GROWTH))
-            step = self.sheet.newton_step_mm()
         slope = float(gradient @ step[self.sheet.grid.free])
         energy = self.now.energy
         self.share, self.now = _searched(self, step, slope)
@@ -166,6 +167,32 @@ class _Descent:
         )
         self.control_mm = self.control_mm + self.share * step
         self.step_mm, self.viscosity = step, self.damping.viscosity
+
+    def _step_mm(self) -> FloatArray:
+        """Return Newton's step, by the last factors where they are sufficient, else by new ones."""
+        self.kept = False
+        if self.serves:
+            return self.sheet.newton_step_mm()
+        if not self.now.tangent:
+            self.move(self.control_mm)
+        if self.keeps:
+            step, near = self.sheet.approximate_step_mm(self.damping.viscosity)
+            self.keeps, self.kept = near.is_accurate, near.residual <= _USEFUL
+            if self.kept:
+                return step
+        return self._step_by_new_factors_mm()
+
+    def _step_by_new_factors_mm(self) -> FloatArray:
+        """Return Newton's step, by new factors of the tangent or of a convex one."""
+        self.damping = _definite(self, self.damping)
+        step = self.sheet.newton_step_mm()
+        if self.damping.viscosity and np.abs(step).max() > _LARGEST_MOVE_MM:  # nearly indefinite
+            self.damping = _definite(self, self.damping.times(_GROWTH))
+            step = self.sheet.newton_step_mm()
+        # A path of equilibria would depend on the error of such a solution.
+        is_free = slips(self.sheet, self.state.pressure_kpa)
+        self.keeps = is_free and self.sheet.system.solver.keeps_factors
+        return step
 
     def anchor(self) -> None:
         """Update the anchors, see `Sheet.regripped`; evaluate again if an anchor was changed."""
@@ -180,7 +207,7 @@ class _Descent:
         if slips(self.sheet, self.state.pressure_kpa):
             converges = self.residual_kpa < _CONVERGES * self.before_kpa
             most_kpa *= _SERVE_LONGER
-        unhindered = self.viscosity == 0 and self.share == 1.0
+        unhindered = self.viscosity == 0 and self.share == 1.0 and not self.kept
         self.serves = unhindered and converges and self.residual_kpa < most_kpa
         viscosity = _adapted(self.viscosity, self.share, self.gain)
         self.damping = replace(self.damping, viscosity=viscosity)
@@ -252,16 +279,18 @@ def _rest_mm(descent: _Descent, made_mm: FloatArray) -> FloatArray | None:
     """Return the next Newton step, which completes the equilibrium; None if it is still too long.
 
     It is computed with the last factorisation, so that no factorisation only confirms an
-    equilibrium. With viscosity this step is too short; the step made before, `made_mm`, must then
-    be short as well, and both must be shorter by `_DAMPED` for a sheet that is not slack.
+    equilibrium. With viscosity this step is too short, and with the factors of an earlier tangent
+    it is not accurate; the step made before, `made_mm`, must then be short as well. With viscosity
+    both must be shorter by `_DAMPED` for a sheet that is not slack.
     """
     if descent.residual_kpa >= descent.accuracy.residual_kpa:
         return None
     rest = descent.sheet.newton_step_mm()
     longest_mm = float(np.abs(rest).max())
-    if descent.viscosity:
-        damped = _DAMPED if slips(descent.sheet, descent.state.pressure_kpa) else 1.0
-        longest_mm = max(longest_mm, float(np.abs(made_mm).max())) / damped
+    if descent.viscosity or descent.kept:
+        longest_mm = max(longest_mm, float(np.abs(made_mm).max()))
+    if descent.viscosity and slips(descent.sheet, descent.state.pressure_kpa):
+        longest_mm /= _DAMPED
     return rest if longest_mm < descent.accuracy.step_mm else None
 
 
@@ -362,7 +391,8 @@ def _searched(descent: _Descent, step: FloatArray, slope: float) -> tuple[float,
 def _at(descent: _Descent, control_mm: FloatArray) -> Evaluation:
     """Evaluate control points; the tangent only where the factors will probably not serve."""
     moved_mm = float(np.abs(control_mm - descent.now.control_mm).max())
-    tangent = descent.damping.viscosity > 0 or moved_mm > _SHORT * descent.accuracy.step_mm
+    short_mm = (_SHORT_KEPT if descent.kept else _SHORT) * descent.accuracy.step_mm
+    tangent = descent.damping.viscosity > 0 or moved_mm > short_mm
     tangent |= not slips(descent.sheet, descent.state.pressure_kpa)
     convex = descent.damping.convex
     return descent.sheet.evaluate(control_mm, descent.state, tangent=tangent, convex=convex)

@@ -4,9 +4,10 @@ import ctypes
 import importlib.metadata
 import os
 import weakref
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import cache
+from dataclasses import dataclass
+from functools import cache, partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -34,6 +35,9 @@ _UNUSED = np.zeros(1)
 ACCURACY = 1e-10
 """Residual of a solution over the right-hand side, unless less is requested."""
 _MOST_ITERATIONS = 50
+# For factors of another matrix: 8 iterations take the time of a factorisation. An inexact step of
+# Newton's method with this residual leaves the number of its steps nearly the same.
+_KEPT_ACCURACY, _KEPT_ITERATIONS = 0.05, 8
 # Factor of all matrices. Factors decrease with the distance of two unknowns; below 1e-38 arithmetic
 # in single precision is slow (3.3 s for 0.35 s with the largest viscosity), and this is farther
 # away in a scaled matrix.
@@ -53,8 +57,26 @@ def threads_for(unknowns: int) -> int:
     return threads() if unknowns >= _LARGE else 1
 
 
+@dataclass(frozen=True, eq=False)
+class Approximation:
+    """Approximate solution of a linear system, and how far conjugate gradients have converged."""
+
+    solution: FloatArray
+    #: norm of the residual over that of the right-hand side, both in the metric of the
+    #: preconditioner; infinite: the matrix is not positive definite
+    residual: float
+
+    @property
+    def is_accurate(self) -> bool:
+        """Whether the iteration has converged."""
+        return self.residual <= _KEPT_ACCURACY
+
+
 class LinearSolver(Protocol):
     """Solver of symmetric linear systems that have one sparsity pattern."""
+
+    #: whether a factorisation takes so long that factors are used for further matrices
+    keeps_factors: bool
 
     def factorise(self, values: FloatArray) -> bool:
         """Factorise the upper triangle's values; return True if they are positive definite."""
@@ -65,6 +87,13 @@ class LinearSolver(Protocol):
 
         The residual is at most `accuracy` of the right-hand side, both as Euclidean norms. It may
         be larger for a matrix so ill-conditioned that 50 iterations do not reach it.
+        """
+        ...
+
+    def approximate(self, values: FloatArray, right: FloatArray) -> Approximation:
+        """Solve for other `values` of the upper triangle, without their factorisation.
+
+        The latest factors are the preconditioner of at most 8 iterations of conjugate gradients.
         """
         ...
 
@@ -95,6 +124,8 @@ class _Refined:
     preconditioner, reduce it to that of double factors.
     """
 
+    keeps_factors = True
+
     def __init__(self, start: IntArray, columns: IntArray) -> None:
         size = start.size - 1
         self._single = size >= _LARGE
@@ -104,7 +135,6 @@ class _Refined:
     def factorise(self, values: FloatArray) -> bool:
         """Factorise the upper triangle's values; return True if they are positive definite."""
         self._upper.data = values
-        self._diagonal = self._upper.diagonal()
         scaled = np.zeros(values.size, self._dtype)
         return self._factorise(np.multiply(values, _SCALE, out=scaled, casting="same_kind"))
 
@@ -119,6 +149,14 @@ class _Refined:
             solution, _ = cg(matrix, right, rtol=accuracy, maxiter=_MOST_ITERATIONS, M=factors)
         return np.asarray(solution)
 
+    def approximate(self, values: FloatArray, right: FloatArray) -> Approximation:
+        """Solve for other `values` of the upper triangle, without their factorisation."""
+        upper = sparse.csr_matrix(
+            (values, self._upper.indices, self._upper.indptr), shape=self._upper.shape
+        )
+        with one_blas_thread():
+            return _conjugate_gradients(partial(_product, upper), self._by_factors, right)
+
     def _by_factors(self, right: FloatArray) -> FloatArray:
         """Return the solution by the factors in their precision."""
         # In single precision small residuals would be 0.
@@ -128,8 +166,7 @@ class _Refined:
 
     def _times(self, vector: FloatArray) -> FloatArray:
         """Return the product of the symmetric matrix with a vector."""
-        both = self._upper @ vector + self._upper.T @ vector
-        return np.asarray(both - self._diagonal * vector)
+        return _product(self._upper, vector)
 
     def _factorise(self, values: Values) -> bool:
         """Factorise scaled values in the precision of the factors."""
@@ -138,6 +175,42 @@ class _Refined:
     def _solve(self, right: Values) -> Values:
         """Return the solution for a right-hand side in the precision of the factors."""
         raise NotImplementedError
+
+
+def _product(upper: sparse.csr_matrix, vector: FloatArray) -> FloatArray:
+    """Return the product of a symmetric matrix, given by its upper triangle, with a vector."""
+    # The diagonal is the first element of each row.
+    diagonal = upper.data[upper.indptr[:-1]]
+    return np.asarray(upper @ vector + upper.T @ vector - diagonal * vector)
+
+
+def _conjugate_gradients(
+    times: Callable[[FloatArray], FloatArray],
+    precondition: Callable[[FloatArray], FloatArray],
+    right: FloatArray,
+) -> Approximation:
+    """Solve as `LinearSolver.approximate`.
+
+    SciPy's `cg` does not detect a matrix that is not positive definite.
+    """
+    solution, residual = np.zeros_like(right), right.copy()
+    ahead = precondition(residual)
+    direction, first = ahead, float(residual @ ahead)
+    norm, left = first, 1.0
+    for _ in range(_KEPT_ITERATIONS):
+        product = times(direction)
+        curvature = float(direction @ product)
+        if curvature <= 0:
+            return Approximation(solution, np.inf)
+        solution += norm / curvature * direction
+        residual -= norm / curvature * product
+        ahead = precondition(residual)
+        before, norm = norm, float(residual @ ahead)
+        left = float(np.sqrt(norm / first))
+        if left <= _KEPT_ACCURACY:
+            break
+        direction = ahead + norm / before * direction
+    return Approximation(solution, left)
 
 
 class Pardiso(_Refined):
@@ -218,6 +291,8 @@ class NestedDissection(_Refined):
 class Banded:
     """LAPACK's factors of a banded matrix: for small systems they need the least time."""
 
+    keeps_factors = False
+
     def __init__(self, start: IntArray, columns: IntArray) -> None:
         self._size = start.size - 1
         self._width = band_width(start, columns) + 1
@@ -238,6 +313,12 @@ class Banded:
         with one_blas_thread():
             solution, _ = lapack.dpbtrs(self._factors, right, lower=1)
         return np.asarray(solution)
+
+    def approximate(self, values: FloatArray, right: FloatArray) -> Approximation:
+        """Solve for other `values` of the upper triangle, by factors: they take less time."""
+        if not self.factorise(values):
+            return Approximation(np.zeros_like(right), np.inf)
+        return Approximation(self.solve(right), 0.0)
 
 
 def band_width(start: IntArray, columns: IntArray) -> int:

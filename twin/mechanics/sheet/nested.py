@@ -142,11 +142,15 @@ def _obstacle_mm(sheet: Sheet, plan_mm: FloatArray, travel_mm: float) -> FloatAr
     """
     place = np.concatenate((plan_mm, np.full((*plan_mm.shape[:2], 1), travel_mm)), axis=-1)
     half_mm = sheet.laws.thickness_mm / 2
+    row, col = np.nonzero(place[..., 2] > 0)
     for _ in range(_MOST_LOWERINGS):
-        distance = sheet.touch(place[:, :, None], travel_mm).distance_mm.min(axis=0)[..., 0]
-        gap = np.minimum(distance, sheet.reach_mm) - half_mm
-        lower = np.where(gap > _CLEAR_MM, gap, 0.0)
-        if not (lower * (place[..., 2] > 0)).any():
+        if not row.size:
             break
-        place[..., 2] = np.maximum(place[..., 2] - lower, 0.0)
+        points = place[row, col]
+        distance = sheet.touch(points[:, None, None], travel_mm).distance_mm.min(axis=0)[:, 0, 0]
+        gap = np.minimum(distance, sheet.reach_mm) - half_mm
+        lowered = np.maximum(points[:, 2] - np.where(gap > _CLEAR_MM, gap, 0.0), 0.0)
+        place[row, col, 2] = lowered
+        moves = (gap > _CLEAR_MM) & (lowered > 0)
+        row, col = row[moves], col[moves]
     return np.asarray(place[..., 2])

@@ -13,8 +13,8 @@ from scipy.linalg import solve_banded
 from reconstruction.arrays import FloatArray
 
 _GAUSS = 0.5 / np.sqrt(3)
-#: change of width over distance
-_GROWTH = 0.2
+GROWTH = 0.2
+"""Change of the cells' width over distance, unless another is given."""
 _SAMPLES = 2001
 #: widest of the cells that may be wider than the pitch
 _WIDEST_PITCHES = 4.0
@@ -40,7 +40,7 @@ class Widths:
         pitches = np.clip(self.widths_mm / pitch_mm, 1.0, _WIDEST_PITCHES)
         rungs = 2.0 ** (np.floor(_RUNGS * np.log2(pitches) + 1e-9) / _RUNGS)
         away = np.abs(self.places_mm[:, None] - self.places_mm)
-        widths = (pitch_mm * rungs + _GROWTH * away).min(axis=1)
+        widths = (pitch_mm * rungs + GROWTH * away).min(axis=1)
         return np.asarray(np.interp(places_mm, self.places_mm, widths), dtype=np.float64)
 
 
@@ -138,6 +138,7 @@ def graded_line(
     coarse_mm: float,
     *,
     allowed: Widths | None = None,
+    growth: float = GROWTH,
 ) -> SplineLine:
     """Return a line with cells of about `pitch_mm` in a fine part, and wider cells outside it.
 
@@ -150,10 +151,12 @@ def graded_line(
     fine_mm : (low, high) ends of the fine part
     coarse_mm : largest width of cells outside the fine part
     allowed : widths of cells in the fine part, if larger than the pitch; None: the pitch
+    growth : change of the width over distance outside the fine part
     """
+    widths = pitch_mm, rim_mm, coarse_mm
     low, high = max(fine_mm[0], ends_mm[0]), min(fine_mm[1], ends_mm[1])
-    before = low - _between(low - ends_mm[0], pitch_mm, rim_mm, coarse_mm)[::-1]
-    after = high + _between(ends_mm[1] - high, pitch_mm, rim_mm, coarse_mm)
+    before = low - _between(low - ends_mm[0], widths, growth)[::-1]
+    after = high + _between(ends_mm[1] - high, widths, growth)
     return SplineLine(np.concatenate((before, _fine(low, high, pitch_mm, allowed), after)))
 
 
@@ -175,15 +178,17 @@ def _fine(low: float, high: float, pitch_mm: float, allowed: Widths | None) -> F
     return np.linspace(low, high, count + 1)
 
 
-def _between(length_mm: float, pitch_mm: float, rim_mm: float, coarse_mm: float) -> FloatArray:
+def _between(length_mm: float, widths_mm: tuple[float, float, float], growth: float) -> FloatArray:
     """Return the edges of the cells between the fine part and an end of the line.
 
-    Edges are distances from the fine part, in (0, `length_mm`].
+    Edges are distances from the fine part, in (0, `length_mm`]. `widths_mm` are those of cells in
+    the fine part and at the end, and the largest one.
     """
+    pitch_mm, rim_mm, coarse_mm = widths_mm
     if length_mm < 1e-9:
         return np.zeros(0)
     places = np.linspace(0.0, length_mm, _SAMPLES)
-    width = np.minimum(pitch_mm + _GROWTH * places, rim_mm + _GROWTH * (length_mm - places))
+    width = np.minimum(pitch_mm + growth * places, rim_mm + growth * (length_mm - places))
     return _ends(places, np.minimum(width, coarse_mm))
 
 
