@@ -55,6 +55,38 @@ def test_linear_solvers_solve_and_know_what_is_indefinite(kind: type[LinearSolve
     assert solver.factorise(upper_triangle(0.0).data.copy())
 
 
+@pytest.mark.parametrize("kind", SOLVERS)
+def test_factors_of_a_matrix_nearly_solve_for_another(kind: type[LinearSolver]) -> None:
+    """The residual is that in the metric of the factors, which here is computed by itself."""
+    first, second = upper_triangle(0.0), upper_triangle(0.07)
+    solver = kind(first.indptr, first.indices)
+    assert solver.factorise(first.data.copy())
+    right = np.random.default_rng(7).normal(size=225)
+    near = solver.approximate(second.data.copy(), right)
+    assert near.is_accurate
+    residual = right - whole(second) @ near.solution
+    inverse = np.linalg.inv(whole(first).toarray())
+    norm = np.sqrt((residual @ inverse @ residual) / (right @ inverse @ right))
+    assert norm == pytest.approx(near.residual, abs=1e-6)
+    if kind is Banded:
+        assert near.residual == 0.0
+    else:
+        assert near.residual > 1e-6
+    assert solver.approximate(upper_triangle(3.0).data.copy(), right).residual == np.inf
+
+
+@pytest.mark.parametrize("kind", SPARSE)
+def test_factors_of_a_far_matrix_are_not_accurate(kind: type[LinearSolver]) -> None:
+    first = plate(12, 1)
+    solver = kind(first.indptr, first.indices)
+    assert solver.factorise(first.data.copy())
+    far = first.copy()
+    far.data[first.indptr[:-1]] += np.geomspace(1e-3, 1e4, 144)
+    near = solver.approximate(far.data.copy(), np.random.default_rng(8).normal(size=144))
+    assert 0.05 < near.residual < np.inf
+    assert not near.is_accurate
+
+
 @pytest.mark.parametrize("kind", SPARSE)
 def test_solutions_have_the_same_bytes_with_any_number_of_threads(
     kind: type[LinearSolver], monkeypatch: pytest.MonkeyPatch

@@ -1,12 +1,16 @@
 """Sheets under pressure by nested iteration: the same equilibrium as by load steps."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 from tests.mechanics.sheets import EXACT, FINE, ball, build_sheet, laws, pressed, round_sheet
+from twin.config.models import Mechanics, Press
 from twin.mechanics.errors import SolverError
 from twin.mechanics.sheet import press
-from twin.mechanics.sheet.energy import Bodies, Sheet
+from twin.mechanics.sheet.energy import Bodies, Sheet, SheetState
+from twin.mechanics.sheet.linear_solver import _Refined
 from twin.mechanics.sheet.nested import descended, taut_mm
 from twin.mechanics.sheet.path import Loads, follow, mounted
 from twin.mechanics.sheet.splines import SplineLine
@@ -54,6 +58,59 @@ def test_a_deep_travel_leaves_no_body_above_the_sheet() -> None:
     state = descended(sheets, goal, FINE)
     middle = state.control_mm[20:22, 20:22, 2]
     assert (middle > 2.85).all()
+
+
+def test_a_smooth_press_factorises_at_most_twice_on_its_finest_cells(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The finest cells start near their equilibrium, and later tangents use the first factors."""
+    factorised: list[int] = []
+    factorise = Sheet.factorise
+
+    def counted(sheet: Sheet, viscosity: float) -> bool:
+        factorised.append(int(sheet.grid.free.sum()))
+        return factorise(sheet, viscosity)
+
+    monkeypatch.setattr(Sheet, "factorise", counted)
+    sheet = build_sheet(thickness_mm=0.3)
+    loads = {"depth_mm": 0.6, "back_pressure_kpa": 2.0, "cell_mm": 0.2}
+    press.forget_paths()
+    result = pressed(Ball(), sheet, **loads)
+    finest = max(factorised)
+    assert finest > 10_000
+    assert factorised.count(finest) <= 2
+    # Newton's method with new factors for every tangent: the same equilibrium.
+    monkeypatch.setattr(_Refined, "keeps_factors", False)
+    press.forget_paths()
+    before = len(factorised)
+    exact = pressed(Ball(), sheet, **loads)
+    assert factorised[before:].count(finest) > 2
+    assert 1e3 * np.abs(result.face_z_mm - exact.face_z_mm).max() < 0.01
+    assert result.force_n == pytest.approx(exact.force_n, rel=1e-5)
+
+
+def test_coarse_cells_place_the_sheet_as_the_finest_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Under pressure a clamped sheet bends within half its thickness of the rim.
+
+    Without narrow cells at the rim the coarse sheet is 0.1 mm higher than the finest one.
+    """
+    starts: list[np.ndarray] = []
+    begun = press._begun
+
+    def recorded(*data: Any) -> tuple[Sheet, SheetState]:
+        fine, state = begun(*data)
+        starts.append(fine.surface(state.control_mm)[..., 0, 2])
+        return fine, state
+
+    monkeypatch.setattr(press, "_begun", recorded)
+    sheet = build_sheet(thickness_mm=0.2)
+    press.forget_paths()
+    load = Press.model_validate(
+        {"control": "depth", "depth_mm": 0.8, "back_pressure_kpa": 2.0, "cell_mm": 0.25}
+    )
+    settled = press.settled_sheet(Ball(), sheet, load, Mechanics(model="sheet"))
+    end = settled.sheet.surface(settled.state.control_mm)[..., 0, 2]
+    assert np.abs(end - starts[-1]).max() < 0.03
 
 
 def test_a_sheet_without_nested_equilibrium_follows_the_load_path(

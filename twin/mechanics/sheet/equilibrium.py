@@ -38,9 +38,9 @@ _ROUNDING, _LEAST_BY_FORCES = 1e-11, 0.25
 _FACTORS_SERVE, _SERVE_LONGER, _CONVERGES = 100.0, 10.0, 0.4
 # Of the tolerance of a step: after a step not longer than this the factors are expected to serve.
 _SHORT = 30.0
-# With factors of an earlier step as preconditioner: the length, of the tolerance of a step, of a step
-# after which an equilibrium is expected; and the largest residual of a step that is used. After a
-# step that `Approximation.is_accurate` does not call accurate new factors follow.
+# With factors of an earlier step as preconditioner. Of the tolerance of a step: after a step not
+# longer than this an equilibrium is expected. And the largest residual of a step that is used; new
+# factors follow it if it is larger than that of `Approximation.is_accurate`.
 _SHORT_KEPT, _USEFUL = 0.25, 0.25
 # Of the tolerance of a step: the damped steps of a soft sheet are much shorter than its distance to
 # the equilibrium.
