@@ -230,15 +230,13 @@ def assert_readable(page: Path, profile: Path) -> None:
     No error, no network request, no element wider than the window.
     """
     with browser(profile) as tab:
+        tab.open(page.as_uri())
+        tab.evaluate("document.querySelectorAll('details').forEach(one => one.open = true)")
         for width in WIDTHS:
-            tab.open(page.as_uri(), width)
-            tab.evaluate("document.querySelectorAll('details').forEach(one => one.open = true)")
-            assert tab.activity.errors == [], width
-            assert {urlsplit(address).scheme for address in tab.activity.requests} <= {
-                "file",
-                "data",
-            }, width
+            tab.resize(width)
             assert tab.overflow() == [], width
+        assert tab.activity.errors == []
+        assert {urlsplit(address).scheme for address in tab.activity.requests} <= {"file", "data"}
 
 
 def printed_px(tab: Browser, page: Path, selector: str) -> float:
