@@ -29,7 +29,7 @@ _SOFT_TURNS = 2
 _NEWTON_STEP, _MOST_NEWTON_STEPS = 1e-6, 20
 _LEAST_POINTS = 20
 # Points of a cylinder need 5 to 15 steps; those of a ball may drift for hundreds to no cylinder.
-_MOST_CYLINDER_STEPS = 60
+_MOST_CYLINDER_STEPS = 40
 
 
 @dataclass(frozen=True, eq=False)
