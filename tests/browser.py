@@ -67,8 +67,9 @@ class Browser:
             self._call(f"{domain}.enable")
 
     def open(self, address: str, width: int = 1280, height: int = 900) -> None:
-        """Open an address in a window of this size and wait until it has loaded."""
+        """Open an address in a window of this size, on a screen; wait until it has loaded."""
         self.resize(width, height)
+        self._call("Emulation.setEmulatedMedia", media="")
         self.activity = PageActivity()
         self._call("Page.navigate", url=address)
         self._until(lambda message: message.get("method") == "Page.loadEventFired")
@@ -225,20 +226,23 @@ def browser(profile: Path) -> Iterator[Browser]:
 
 
 def assert_readable(page: Path, profile: Path) -> None:
+    """Check a page as `assert_page_readable` in a browser of its own."""
+    with browser(profile) as tab:
+        assert_page_readable(tab, page)
+
+
+def assert_page_readable(tab: Browser, page: Path) -> None:
     """Check a page at desktop and phone width, with all folded sections open.
 
     No error, no network request, no element wider than the window.
     """
-    with browser(profile) as tab:
-        for width in WIDTHS:
-            tab.open(page.as_uri(), width)
-            tab.evaluate("document.querySelectorAll('details').forEach(one => one.open = true)")
-            assert tab.activity.errors == [], width
-            assert {urlsplit(address).scheme for address in tab.activity.requests} <= {
-                "file",
-                "data",
-            }, width
-            assert tab.overflow() == [], width
+    tab.open(page.as_uri())
+    tab.evaluate("document.querySelectorAll('details').forEach(one => one.open = true)")
+    for width in WIDTHS:
+        tab.resize(width)
+        assert tab.overflow() == [], width
+    assert tab.activity.errors == []
+    assert {urlsplit(address).scheme for address in tab.activity.requests} <= {"file", "data"}
 
 
 def printed_px(tab: Browser, page: Path, selector: str) -> float:

@@ -28,6 +28,8 @@ _SOFT_TURNS = 2
 # Newton's steps end below this share of the scale of the residuals; usually after five steps.
 _NEWTON_STEP, _MOST_NEWTON_STEPS = 1e-6, 20
 _LEAST_POINTS = 20
+# Points of a cylinder need 5 to 15 steps; those of a ball may drift for hundreds to no cylinder.
+_MOST_CYLINDER_STEPS = 40
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,7 +253,15 @@ def _start(local: FloatArray) -> FloatArray:
 
 
 def _solve(local: FloatArray, start: FloatArray, loss: str, scale_mm: float) -> FloatArray:
-    solution = least_squares(_from_axis, start, args=(local,), loss=loss, f_scale=scale_mm)
+    solution = least_squares(
+        _from_axis,
+        start,
+        _from_axis_jacobian,
+        args=(local,),
+        loss=loss,
+        f_scale=scale_mm,
+        max_nfev=_MOST_CYLINDER_STEPS,
+    )
     if not solution.success:
         raise FitError(f"the cylinder fit does not converge ({solution.message})")
     return np.asarray(solution.x)
@@ -275,6 +285,20 @@ def _from_axis(parameters: FloatArray, local: FloatArray) -> FloatArray:
     across = across - np.outer(across @ direction, direction)
     radial: FloatArray = np.linalg.norm(across, axis=1) - abs(parameters[4])
     return radial
+
+
+def _from_axis_jacobian(parameters: FloatArray, local: FloatArray) -> FloatArray:
+    """Return the derivatives (n, 5) of `_from_axis` by the parameters of `_start`.
+
+    A point moves with the unit normal from the axis, and by a slope the more, the farther along the
+    axis it is; the length of the direction has no effect.
+    """
+    direction, foot = _axis_of(parameters)
+    along = local @ direction
+    across = local - foot - np.outer(along, direction)
+    sides = across[:, 1:] / np.linalg.norm(across, axis=1, keepdims=True)
+    turned = sides * (along - parameters[:2] @ direction[1:])[:, None] * direction[0]
+    return np.column_stack([-sides, -turned, np.full(len(local), -np.sign(parameters[4]))])
 
 
 def _upright(axis: FloatArray) -> FloatArray:

@@ -1,5 +1,7 @@
 """Coats of objects pressed into a thick slab by the spectral model on a finer grid, with noise."""
 
+from functools import cache
+
 import numpy as np
 
 from reconstruction.arrays import FloatArray
@@ -43,11 +45,12 @@ def with_load(layer: SensorLayer, sigma: dict[str, float], **load: float) -> Sen
     return layer.model_copy(update=changed | {"sigma": layer.sigma.model_copy(update=sigma)})
 
 
+@cache
 def pressed(
     specimen: AnySpecimen, elastomer: Elastomer, depth_mm: float, air_kpa: float = 0.0,
     pitch_mm: float = FINE_MM,
 ) -> SolvedSlab:  # fmt: skip
-    """Press a specimen into a slab."""
+    """Press a specimen into a slab; the same press is solved once. Not to be changed by tests."""
     load = Press(
         control="depth", depth_mm=depth_mm, back_pressure_kpa=air_kpa, solver_pitch_mm=pitch_mm
     )

@@ -97,7 +97,7 @@ def pressed_bar(
         section, thickness_mm, YOUNG_KPA, RIM_MM, 0.6, pressure_kpa=pressure_kpa, step_mm=0.02
     )
     places = np.arange(-RIM_MM + 0.02, RIM_MM, 0.04)
-    x, y = np.meshgrid(places, np.arange(-5.98, 6, 0.04))
+    x, y = np.meshgrid(places, np.arange(-5.96, 6, 0.08))
     z = CubicSpline(profile.radius_mm, profile.upper_z_mm)(np.abs(x))
     points = np.stack((x, y, z), axis=-1).reshape(-1, 3)
     layer = replace(LAYER, thickness_mm=thickness_mm, back_pressure_kpa=pressure_kpa)

@@ -27,7 +27,6 @@ from twin.specimens import shape_of
 from twin.specimens.kinds.ball import Ball
 from twin.specimens.kinds.bar import Bar
 from twin.specimens.kinds.brick import Brick
-from twin.specimens.kinds.rod import Rod
 from twin.specimens.kinds.two_balls import TwoBalls
 
 SOLIDS = Path(__file__).parents[1] / "mechanics/reference/neo_hookean.json"
@@ -102,8 +101,6 @@ def test_the_coat_moves_with_the_ball(path: str, share: float) -> None:
         (BALL, Ball(diameter_mm=7.0), "diameter_mm", 0.008),
         (TwoBalls(diameter_mm=6.0, separation_mm=6.0, yaw_deg=8.0),
          TwoBalls(diameter_mm=5.5, separation_mm=6.3), "diameter_mm", 0.006),
-        (Rod(diameter_mm=4.8, length_mm=9.0, yaw_deg=6.0, x_mm=0.1),
-         Rod(diameter_mm=4.4, length_mm=9.0), "diameter_mm", 0.01),
         (Bar(width_mm=4.0, length_mm=9.0, yaw_deg=4.0, x_mm=0.1),
          Bar(width_mm=4.4, length_mm=9.0), "width_mm", 0.006),
     ],
@@ -128,7 +125,7 @@ def test_travel_and_force_are_data() -> None:
     points, bare = coat_points(rest.coat_mm, NOISE_MM), layer_of(slab())
 
     def sigma(layer, **known) -> float:
-        request = replace(slab_object(layer, Ball(diameter_mm=7.5)), theory=False)
+        request = replace(slab_object(layer, Ball(diameter_mm=7.9)), theory=False)
         fitted = fit_slab(*points, request).fitted
         diameter_mm = fitted.value("specimen.diameter_mm")
         u = fitted.sigma("specimen.diameter_mm")
@@ -187,7 +184,7 @@ def test_thickness_is_calibrated_on_a_known_ball() -> None:
     )
 
     def error_mm(layer) -> float:
-        request = replace(slab_object(layer, Ball(diameter_mm=6.3)), theory=False)
+        request = replace(slab_object(layer, Ball(diameter_mm=6.1)), theory=False)
         return fit_slab(*second, request).fitted.value("specimen.diameter_mm") - 6.0
 
     before = error_mm(layer)

@@ -8,7 +8,7 @@ from reconstruction.errors import InputError
 from twin.config import load_experiment
 from twin.optics.light import light_tables, pattern_set
 
-RUNS = 8
+RUNS = 6
 SMALL = {
     "modality": "direct_fpp",
     "projector.width_px": 320,
@@ -17,6 +17,7 @@ SMALL = {
     "camera.height_px": 30,
     "camera.pixel_pitch_um": {"value": 216.0, "source": "test"},
     "patterns.steps": 3,
+    "patterns.axes": ["column"],
 }
 
 
@@ -27,7 +28,7 @@ def direct(roughness=0.4, **settings):
 
 @pytest.mark.parametrize("roughness", [0.4, 0.2], ids=["rough", "polished"])
 def test_metal_balls_on_a_stage_equal_the_stock_path_tracer(mi, roughness):
-    """Setup: two joined steel balls on a matte stage, one phase frame, 8 runs of each renderer.
+    """Setup: two joined steel balls on a matte stage, one phase frame, 6 runs of each renderer.
 
     `rough` metal is connected to the projector, light off `polished` metal is traced as photons.
     Stock counts every reflection: its limit is high enough, and the stage's albedo is 0.35.

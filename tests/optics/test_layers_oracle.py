@@ -7,7 +7,7 @@ up: every path with a reflection at an interface that still reaches coat and lig
 The one-trace renderer lights the same bump from 3 x 3 Gauss points of that light (an error of
 1e-5); their radiant intensity L dA cos(axis) is set through its projector's E1 / cos^3(axis).
 Expected: per pixel and per patch of 6 x 6 pixels the differences follow Student's t of the 12 runs;
-the mean differs by less than 4 standard errors, 0.7 %. (40 runs of 8192 samples: 0.03 %, error
+the mean differs by less than 4 standard errors, 1 %. (40 runs of 8192 samples: 0.03 %, error
 0.06 %.)
 Why: index of the cone, Fresnel, refracted directions in the BSDF and spread of the light together;
 without the factor 1/n^2 or Fresnel's the mean would be off by 100 % and 9 %.
@@ -25,7 +25,7 @@ from tests.optics.scenes import coated_scene
 from twin.config import load_experiment
 from twin.config.layers import Layer
 
-RUNS, SAMPLES, SIDE, PATCH = 12, 3072, 8, 6
+RUNS, SAMPLES, SIDE, PATCH = 12, 1536, 8, 6
 HALF_MM, DISTANCE_MM, POLAR_DEG = 12.0, 60.0, 35.0
 LIGHT_RADIANCE = 2.0
 LAYERS = {
@@ -149,5 +149,5 @@ def test_stock_mitsuba_sees_the_same_light_through_the_layers(mi, experiment, sc
         t = (own - theirs.mean(axis=0)) / stats.sem(theirs, axis=0)
         assert np.mean(np.abs(t) > stats.t.ppf(0.995, RUNS - 1)) <= allowed
     error = stats.sem(runs.mean(axis=(1, 2)))
-    assert error < 2e-3 * runs.mean()
+    assert error < 2.8e-3 * runs.mean()
     assert abs(ours.mean() - runs.mean()) < 4 * error

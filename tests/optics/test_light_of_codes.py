@@ -94,7 +94,7 @@ def frames_at(patterns, projector, column_px, row_px):
 def test_projected_codes_are_decoded(projector, case):
     table = {"period_px": 16.0} | case
     patterns = pattern_set(projector, validated(Patterns, table))
-    column_px, row_px = np.linspace(1.2, 158.1, 500), np.linspace(1.3, 98.2, 300)
+    column_px, row_px = np.linspace(1.2, 158.1, 400), np.linspace(1.3, 98.2, 120)
     stack = frames_at(patterns, projector, column_px, row_px)
     marked = PhaseReference(((0.0, 0.0, column_px[0], row_px[0]),))
     reference = None if patterns.kind.numbers_pixels else marked

@@ -213,8 +213,8 @@ SHEET = {
     "press.solver_pitch_mm": 0.5,
     "press.depth_mm": 0.3,
     "press.back_pressure_kpa": 1.0,
-    "elastomer.length_x_mm": 15.0,
-    "elastomer.length_y_mm": 15.0,
+    "elastomer.length_x_mm": 11.0,
+    "elastomer.length_y_mm": 11.0,
     "coating.texture": {"rms_um": 3.0, "correlation_mm": 0.3},
 }
 

@@ -23,10 +23,8 @@ from twin.optics.light import light_tables, pattern_set
 
 RUNS, SAMPLES = 24, 16
 CASES = [
-    ("projector", "phase", "column", 0),
     ("projector", "phase", "column", 7),
     ("projector", "phase", "row", 3),
-    ("projector", "gray", "column", 3),
     ("projector", "gray", "row", 2),
     ("projector", "white", None, 0),
     ("projector", "black", None, 0),

@@ -5,13 +5,10 @@ scikit-learn, optuna, trimesh, scikit-fem and matplotlib the rate of these words
 `python -m tests.packaging.test_plain_words` records the rates, rounded up, at least 1.
 """
 
-import ast
-import io
 import json
 import math
 import re
 import subprocess
-import tokenize
 from collections import Counter
 from collections.abc import Iterator
 from functools import cache
@@ -25,6 +22,9 @@ RECORD = Path(__file__).with_name("everyday_words.json")
 MOST_PER_1000 = 3.0
 LEAST_WORDS = 300  # of a folder that is judged: in fewer words one occurrence decides
 SPARE_WORDS = 2  # more than the recorded rate allows: a word such as "nothing" may be the right one
+STRING = r"'{3}.*?'{3}" r'|"""(?:[^\\]|\\.)*?"""|"(?:[^"\\\n]|\\.)*"' r"|'(?:[^'\\\n]|\\.)*'"
+PARTS = re.compile(rf"#[^\n]*|\bf(?:{STRING})|{STRING}", re.DOTALL)
+"""Comments and strings of Python: a string ends at the first quote without a backslash."""
 
 
 def prose(path: Path) -> str:
@@ -34,13 +34,12 @@ def prose(path: Path) -> str:
 
 
 def _strings_and_comments(text: str) -> Iterator[str]:
-    for node in ast.walk(ast.parse(text)):
-        value = node.value if isinstance(node, ast.Constant) else None
-        if isinstance(value, str) and value.count(" ") >= 3:
-            yield value
-    for token in tokenize.generate_tokens(io.StringIO(text).readline):
-        if token.type == tokenize.COMMENT:
-            yield token.string
+    """Yield them without escapes and replacement fields: ast and tokenize take 30 times as long."""
+    for part in PARTS.findall(text):
+        fields = r"\\.|\{[^{}]*\}" if part.startswith("f") else r"\\."
+        plain = re.sub(fields, " ", part)
+        if plain.startswith("#") or plain.count(" ") >= 3:
+            yield plain
 
 
 def words_of(text: str) -> list[str]:

@@ -62,7 +62,8 @@ def difference(call):
 
 BALLS = """
 import json, sys, threading, twin
-small = {"camera.binning": 4, "patterns.steps": 3, "press.solver_pitch_mm": 0.2}
+small = {"camera.binning": 4, "camera.width_px": 640, "camera.height_px": 480,
+         "patterns.steps": 3, "press.solver_pitch_mm": 0.2, "press.relief_pitch_mm": 0.05}
 balls = twin.load_experiment("examples/slab_balls", small)
 """
 

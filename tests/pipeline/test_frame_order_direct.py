@@ -10,6 +10,7 @@ from twin.pipeline.fringes import expose_capture, take
 from twin.pipeline.progress import Stopwatch
 
 SMALL = {"camera.binning": 4, "camera.width_px": 640, "camera.height_px": 480}
+SMALL |= {"render.photons": 200_000, "render.bounce_paths": 1}
 SMALL |= {"modality": "direct_fpp", "patterns.steps": 8, "patterns.period_px": 16.0}
 
 

@@ -13,7 +13,7 @@ DOTS = {
     "photometric.markers": {
         "pitch_x_mm": 2.2, "pitch_y_mm": 2.0, "radius_mm": 0.45, "relative_albedo": 0.2,
     },
-    "photometric.presses.count": 6,
+    "photometric.presses.count": 4,
     "photometric.presses.smallest_diameter_mm": 5.5,
     "photometric.width_px": 160,
     "photometric.height_px": 120,

@@ -61,6 +61,7 @@ def test_a_study_keeps_what_it_is_asked_for(done, tmp_path):
     assert not {"capture", "press.nc", "result.json"} & names
 
 
+@pytest.mark.parametrize("done", ["contact_fpp"], indirect=True)
 def test_the_page_drawn_at_once_is_the_page_drawn_later(done, folder, tmp_path):
     """Expected: the same bytes from the arrays at hand as from those in the folder."""
     at_hand = as_stored(folder, done)

@@ -16,7 +16,7 @@ from reconstruction.evaluate import (
     step_height,
 )
 from reconstruction.evaluate.fit import fit_sphere, radial_mm, spread
-from reconstruction.evaluate.robust import soft_sphere
+from reconstruction.evaluate.robust import _from_axis, _from_axis_jacobian, soft_sphere
 
 NOISE_MM = 0.002
 
@@ -123,6 +123,25 @@ def test_ball_needs_curvature_and_points():
         fit_ball(flat)
     with pytest.raises(FitError, match="points"):
         fit_ball(cap(np.random.default_rng(1), 4)[0])
+
+
+@pytest.mark.parametrize("half_angle_deg", [20.0, 50.0])
+def test_a_cap_of_a_ball_is_no_cylinder(half_angle_deg):
+    points, _ = cap(np.random.default_rng(1), 2000, half_angle_deg=half_angle_deg)
+    with pytest.raises(FitError, match="does not converge"):
+        fit_cylinder(points, (1, 0, 0))
+
+
+@pytest.mark.parametrize("radius_mm", [1.3, -1.3])
+def test_derivatives_of_the_distance_from_a_cylinder_are_differences(radius_mm):
+    points = np.random.default_rng(0).normal(size=(50, 3))
+    parameters = np.array([0.3, -0.4, 0.2, -0.5, radius_mm])
+    expected = [
+        (_from_axis(parameters + step, points) - _from_axis(parameters - step, points)) / 2e-6
+        for step in 1e-6 * np.eye(5)
+    ]
+    slopes = _from_axis_jacobian(parameters, points)
+    np.testing.assert_allclose(slopes, np.transpose(expected), atol=1e-8)
 
 
 def test_cylinder_seen_from_above():

@@ -149,9 +149,9 @@ def test_a_bit_at_its_threshold_matters_only_if_the_word_changes_by_more_than_on
     for word, is_kept in (("reflected", True), ("binary", False)):
         patterns = PatternSet(**SIZE, **LEVELS, steps=0, code="gray", period_px=8.0, word=word,
                               axes=("column",), inverse=True, uniform=False)  # fmt: skip
-        stack = observed(patterns).astype(np.float32)
-        border = 0.5 * (stack[:, :, 63] + stack[:, :, 64])  # word 7 to 8: all bits of a binary one
-        stack[:, :, 63] = border
+        stack = observed(patterns)
+        # Word 7 to 8: all bits of a binary one. The middle of the levels is a whole number.
+        stack[:, :, 63] = (stack[:, :, 63] // 2) + (stack[:, :, 64] // 2)
         decoded = decode(stack, patterns, NOISY)
         assert decoded.valid[:, 63].all() == is_kept
         assert decoded.valid[:, 63].any() == is_kept

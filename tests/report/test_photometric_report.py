@@ -38,7 +38,7 @@ SMALL = {
     "press.solver_pitch_mm": 0.2,
     "press.relief_pitch_mm": 0.05,
 }
-FEW = {"photometric.presses.count": 6, "photometric.presses.smallest_diameter_mm": 5.5}
+FEW = {"photometric.presses.count": 4, "photometric.presses.smallest_diameter_mm": 5.5}
 BALL = """
 name = "ball"
 use = "scenes/rigs/slab"

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from reconstruction.errors import InputError
-from tests.browser import PAPER_PX, WIDTHS, assert_readable, browser, printed_px
+from tests.browser import PAPER_PX, WIDTHS, assert_page_readable, browser, printed_px
 from twin.config import digest, vary
 from twin.report.experiment import glance
 from twin.report.measurement import write_report
@@ -27,6 +27,12 @@ FIGURES = {
     "fit_regions",
     "press",
 }
+
+
+@pytest.fixture(scope="module")
+def tab(tmp_path_factory):
+    with browser(tmp_path_factory.mktemp("profile")) as started:
+        yield started
 
 
 @pytest.fixture(scope="module")
@@ -77,26 +83,25 @@ def test_page_tells_result_warnings_and_assumptions(reported, experiment):
     assert page.count('<tr class="assumed">') == len(assumed) > 0
 
 
-def test_a_browser_opens_it(reported, tmp_path):
-    assert_readable(reported[0] / "report.html", tmp_path)
+def test_a_browser_opens_it(reported, tab):
+    assert_page_readable(tab, reported[0] / "report.html")
 
 
-def test_a_phone_shows_where_a_figure_continues(reported, tmp_path):
+def test_a_phone_shows_where_a_figure_continues(reported, tab):
     """Expected: each figure that is wider than the page has a hint, each table a shadow."""
     cut = "[...document.querySelectorAll('.scroll')].filter(e => e.scrollWidth > e.clientWidth)"
-    with browser(tmp_path) as tab:
-        tab.open((reported[0] / "report.html").as_uri(), WIDTHS[1])
-        hint = "e.querySelector('img') ? getComputedStyle(e, '::before').content"
-        shown = f"{hint} : getComputedStyle(e).backgroundImage"
-        hints = tab.evaluate(f"{cut}.map(e => {shown})")
-        tab.open((reported[0] / "report.html").as_uri(), WIDTHS[0])
-        first = "getComputedStyle(document.querySelector('.scroll'), '::before')"
-        assert tab.evaluate(f"{first}.content") == "none"
+    tab.open((reported[0] / "report.html").as_uri(), WIDTHS[1])
+    hint = "e.querySelector('img') ? getComputedStyle(e, '::before').content"
+    shown = f"{hint} : getComputedStyle(e).backgroundImage"
+    hints = tab.evaluate(f"{cut}.map(e => {shown})")
+    tab.open((reported[0] / "report.html").as_uri(), WIDTHS[0])
+    first = "getComputedStyle(document.querySelector('.scroll'), '::before')"
+    assert tab.evaluate(f"{first}.content") == "none"
     assert len(hints) > 5
     assert all("scroll" in hint or "linear-gradient" in hint for hint in hints)
 
 
-def test_its_first_printed_page_is_a_certificate(reported, experiment, tmp_path):
+def test_its_first_printed_page_is_a_certificate(reported, experiment, tab):
     """Object, measurands, uncertainty, conditions, versions, on one sheet of A4."""
     page = reported[0] / "report.html"
     text = page.read_text(encoding="utf-8")
@@ -109,22 +114,19 @@ def test_its_first_printed_page_is_a_certificate(reported, experiment, tmp_path)
         digest(experiment),
     ):
         assert text in alone, text
-    with browser(tmp_path) as tab:
-        tab.open(page.as_uri())
-        shown = "getComputedStyle(document.querySelector('.certificate')).display"
-        assert tab.evaluate(shown) == "none"
-        assert 0 < printed_px(tab, page, ".certificate") <= PAPER_PX[1]
-        assert tab.overflow() == []
-        assert tab.evaluate(f"{visible('button, input, canvas, nav, summary')}.length") == 0
-        headings = visible("main > section > h2")
-        below = "h.parentElement.getBoundingClientRect().bottom - h.getBoundingClientRect().bottom"
-        heights_px = tab.evaluate(f"{headings}.map(h => {below})")
-        assert len(heights_px) > 5
-        assert min(heights_px) > 20
-        figures = tab.evaluate(
-            f"{visible('figure img')}.map(f => f.getBoundingClientRect().height)"
-        )
-        assert max(figures) < PAPER_PX[1] / 2
+    tab.open(page.as_uri())
+    shown = "getComputedStyle(document.querySelector('.certificate')).display"
+    assert tab.evaluate(shown) == "none"
+    assert 0 < printed_px(tab, page, ".certificate") <= PAPER_PX[1]
+    assert tab.overflow() == []
+    assert tab.evaluate(f"{visible('button, input, canvas, nav, summary')}.length") == 0
+    headings = visible("main > section > h2")
+    below = "h.parentElement.getBoundingClientRect().bottom - h.getBoundingClientRect().bottom"
+    heights_px = tab.evaluate(f"{headings}.map(h => {below})")
+    assert len(heights_px) > 5
+    assert min(heights_px) > 20
+    figures = tab.evaluate(f"{visible('figure img')}.map(f => f.getBoundingClientRect().height)")
+    assert max(figures) < PAPER_PX[1] / 2
 
 
 def visible(selector: str) -> str:
@@ -133,15 +135,6 @@ def visible(selector: str) -> str:
         f"[...document.querySelectorAll('{selector}')]"
         ".filter(one => one.getBoundingClientRect().height > 0)"
     )
-
-
-def test_same_result_gives_same_bytes_wherever_it_lies(reported, finished, tmp_path):
-    folder, page, _ = reported
-    elsewhere = tmp_path / "another_name"
-    shutil.copytree(finished, elsewhere)
-    assert write_report(elsewhere).read_text(encoding="utf-8") == page
-    assert not list(elsewhere.rglob("*.part"))
-    assert not list(folder.rglob("*.part"))
 
 
 def test_progress_grows_to_one(reported):

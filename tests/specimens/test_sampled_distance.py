@@ -125,6 +125,7 @@ def test_samples_are_the_distances_to_all_triangles() -> None:
 def test_derivatives_are_the_differences_of_the_interpolant() -> None:
     body = _sampled(Nut(yaw_deg=20, tilt_deg=2))
     points = _near(body, 4000, 2.5)
+    points = points[points[:, 0] > 0.5]  # a quarter of the thread
     points[:, 2] -= 0.1
     _, gradient, hessian = body.evaluate(points, 2.0)
     step_mm = 1e-5
@@ -156,7 +157,7 @@ def test_a_pose_turns_what_it_moves() -> None:
     turn = np.asarray(Rotation.from_euler("zyx", (25, 4, -3), degrees=True).as_matrix())
     pose = Placement(turn, np.array([0.4, -0.3, 0.2]))
     (still,), (moved,) = nut.distances(), nut.placed(pose).distances()
-    points = np.random.default_rng(5).uniform((-5, -5, -1), (5, 5, 0.3), (4000, 3))
+    points = np.random.default_rng(5).uniform((3, -1, -1), (6, 1, 0.3), (2000, 3))
     known, posed = still.evaluate(points, REACH_MM), moved.evaluate(pose.apply(points), REACH_MM)
     np.testing.assert_allclose(posed[0], known[0], atol=1e-12)
     np.testing.assert_allclose(posed[1], known[1] @ turn.T, atol=1e-10)

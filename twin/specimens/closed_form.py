@@ -4,6 +4,7 @@ Lengths in mm. The specimen presses from below, so that its foremost point is it
 """
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -89,9 +90,15 @@ class SphereCluster:
         between their centres with 0.1 x their radius. It is 0.9 radii below the apexes, where no
         admissible press reaches it; `height_above_lowest` therefore omits it.
         """
-        body = united([_tessellate(ball) for ball in self.balls] + _necks(self.balls))
+        body = _united(self.balls).copy()
         body.apply_translation((0.0, 0.0, touched_z_mm))
         return body
+
+
+@lru_cache(maxsize=2)
+def _united(balls: tuple[Sphere, ...]) -> "trimesh.Trimesh":
+    """Return one body; it takes a second, most of the time in which a bare specimen is loaded."""
+    return united([_tessellate(ball) for ball in balls] + _necks(balls))
 
 
 def _centre(ball: Sphere) -> FloatArray:
