@@ -91,8 +91,8 @@ class Recipe(Model):
     format: Literal["webdataset", "hdf5", "parquet"] = "webdataset"
     shard_mb: Annotated[float, Field(ge=0.01, le=4096)] = Field(
         default=256.0,
-        description="size of a shard, 10^6 bytes; a shard has at least one sample. It is built in "
-        "memory",
+        description="size of a shard, 10^6 bytes; a shard has at least one sample. HDF5 and "
+        "Parquet shards are built in memory",
     )
 
     @model_validator(mode="after")
