@@ -19,7 +19,7 @@ import numpy as np
 from reconstruction.errors import InputError
 from reconstruction.evaluate.samples import SPLITS, npy
 from reconstruction.writing import write_parts
-from twin.dataset.quantities import SAMPLE_QUANTITIES
+from twin.dataset.quantities import quantity_of
 from twin.extras import missing
 
 ENDINGS = {"webdataset": "tar", "hdf5": "h5", "parquet": "parquet"}
@@ -166,7 +166,8 @@ def _hdf5(samples: Sequence[PackedSample]) -> list[memoryview]:
                     group.attrs[name] = content.decode()
                     continue
                 array = group.create_dataset(stem, data=npy(content), track_times=False)
-                array.attrs["units"] = SAMPLE_QUANTITIES[stem].unit
+                quantity = quantity_of(stem)
+                array.attrs["units"] = "" if quantity is None else quantity.unit
     return [made.getbuffer()]
 
 
