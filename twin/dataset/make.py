@@ -18,6 +18,7 @@ from reconstruction.evaluate.samples import CALIBRATION_JSON, SPLITS, npy
 from reconstruction.writing import write_bytes, write_text
 from twin.config import Experiment
 from twin.config.dataset import Recipe
+from twin.config.methods import Method
 from twin.dataset.draws import SampleDraw, draw_sample
 from twin.dataset.methods import check_content
 from twin.dataset.quantities import quantity_of
@@ -161,7 +162,7 @@ def pack(
     InputError : `out` cannot be written, no sample has a result, or pyarrow is not installed
     """
     arrow(INDEX_PARQUET)
-    samples, rows = _packed(draws, Store(work))
+    samples, rows = _packed(draws, Store(work), recipe.sample.methods)
     if not samples:
         reasons = "; ".join(dict.fromkeys(str(row["reason"]) for row in rows))
         raise InputError(f"{out}: no sample has a result: {reasons}")
@@ -187,7 +188,7 @@ def pack(
 
 
 def _packed(
-    draws: Sequence[SampleDraw], store: Store
+    draws: Sequence[SampleDraw], store: Store, methods: tuple[Method, ...]
 ) -> tuple[list[PackedSample], list[dict[str, Any]]]:
     """Return the samples that have a result, and a row for each drawn sample."""
     entries = Index(store).entries()
@@ -203,13 +204,14 @@ def _packed(
             "reason": draw.reason,
             "digest": None if draw.case is None else draw.case.digest,
         }
+        row |= {"methods": ", ".join(methods)} if methods else {}
         row |= {f"{DRAWN}{name}": value for name, value in draw.settings.items()}
         entry = None if draw.case is None else entries.get(draw.case.digest)
         if entry is not None and entry.state == "done":
             folder = store.path_of(entry.digest)
-            samples.append(
-                PackedSample(draw.key, draw.split, _files(folder), _described(draw, entry.figures))
-            )
+            described = _described(draw, entry.figures)
+            described |= {"methods": list(methods)} if methods else {}
+            samples.append(PackedSample(draw.key, draw.split, _files(folder), described))
             row |= {"state": "done"}
             row |= {f"{FIGURE}{name}": value for name, value in _plain(entry.figures).items()}
         elif draw.case is not None:
