@@ -11,7 +11,8 @@
   `--quick`) at random moments: the shards must have the same bytes;
 - Kolmogorov-Smirnov tests of 2000 drawn values of a uniform, a log-uniform and a normal quantity.
 
-The first samples, which compile kernels, are not counted. Last line:
+The 300 scenes take 40 GB of disk; `--scenes` takes fewer and scales the time. The first samples,
+which compile kernels, are not counted. Last line:
 {"samples_per_hour_direct": ..., "samples_per_hour_sheet": ..., "images_per_s": ...,
 "write_share": ..., "resume_equal": true, "fpp_ml_bench_minutes": ..., ...}.
 """

@@ -62,7 +62,7 @@ SENSORS: dict[str, tuple[str, dict[str, Any]]] = {
 }
 SPECIMENS = (
     "ball", "bar", "bars", "bear", "brick", "fingerprint", "flat", "grating", "nut",
-    "random_relief", "rod", "rods", "step", "t_bolt", "two_balls", "v_groove",
+    "random_group", "random_relief", "rod", "rods", "step", "t_bolt", "two_balls", "v_groove",
 )  # fmt: skip
 _TABLES = (
     "press", "elastomer", "specimen", "projector", "camera", "patterns", "decode", "score",

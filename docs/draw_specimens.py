@@ -23,6 +23,7 @@ from twin.specimens.kinds.flat import Flat
 from twin.specimens.kinds.grating import Grating
 from twin.specimens.kinds.group import Group
 from twin.specimens.kinds.nut import Nut
+from twin.specimens.kinds.random_group import RandomGroup
 from twin.specimens.kinds.random_relief import RandomRelief
 from twin.specimens.kinds.rod import Rod
 from twin.specimens.kinds.rods import Rods
@@ -51,6 +52,7 @@ SPECIMENS: list[tuple[str, Specimen, bool]] = [
     ("v_groove", VGroove(depth_mm=2.0, yaw_deg=30), False),
     ("grating", Grating(groove_mm=0.8, yaw_deg=30), False),
     ("random_relief", RandomRelief(rms_um=400.0, longest_mm=8.0), False),
+    ("random_group", RandomGroup(count=9), False),
     ("group", Group(parts={"nut": Nut(x_mm=-6.0), "ball": Ball(x_mm=6.0)}), False),
 ]
 TILT_DEG = 40.0

@@ -13,7 +13,7 @@ import errno
 import io
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -43,6 +43,16 @@ def write_bytes(path: Path | str, *parts: Content, durable: bool = False) -> Non
     ------
     OSError : the file cannot be written; the error names it, and an existing file is unchanged
     """
+    write_parts(path, parts, durable=durable)
+
+
+def write_parts(path: Path | str, parts: Iterable[Content], *, durable: bool = False) -> None:
+    """Write parts as `write_bytes`; each part is requested after the previous one was written.
+
+    Raises
+    ------
+    OSError : as `write_bytes`, also for an OSError that `parts` raises
+    """
     place = Path(os.path.realpath(path))  # a symbolic link remains a link
     try:
         if place.exists() and not os.access(place, os.W_OK):
@@ -55,7 +65,7 @@ def write_bytes(path: Path | str, *parts: Content, durable: bool = False) -> Non
         raise OSError(error.errno, error.strerror, os.fspath(path)) from None
 
 
-def _replace(place: Path, parts: tuple[Content, ...], durable: bool) -> None:
+def _replace(place: Path, parts: Iterable[Content], durable: bool) -> None:
     # With the process number: another process may write the same file.
     temporary = place.with_name(f".{place.name}.{os.getpid()}.part")
     try:
@@ -66,7 +76,7 @@ def _replace(place: Path, parts: tuple[Content, ...], durable: bool) -> None:
             temporary.unlink(missing_ok=True)
 
 
-def _write(place: Path, parts: tuple[Content, ...], durable: bool) -> None:
+def _write(place: Path, parts: Iterable[Content], durable: bool) -> None:
     with place.open("wb", buffering=0) as file:
         for part in parts:
             remaining = memoryview(part)

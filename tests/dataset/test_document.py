@@ -1,6 +1,9 @@
 """The blocks of docs/datasets.md, on the small data set."""
 
 import importlib.util
+import json
+import subprocess
+import sys
 
 import numpy as np
 import pyarrow.parquet
@@ -14,6 +17,8 @@ from twin.config.schema import list_keys
 from twin.dataset.draws import draw_sample
 from twin.dataset.make import pack
 from twin.dataset.quantities import SAMPLE_QUANTITIES
+from twin.dataset.taking import SAMPLE_FOLDER
+from twin.study.store import Store
 
 PAGE = DOCS / "datasets.md"
 
@@ -112,3 +117,67 @@ def test_shipped_recipes_are_on_the_page_and_draw_valid_experiments(name: str) -
     draws = draw_all(*load_recipe(f"datasets/{name}"), 3)
     assert [draw.reason for draw in draws if draw.case is None] == []
     assert unmeasurable([draw.case for draw in draws]) == {}
+
+
+_READERS = {
+    "webdataset": """
+exec(loader)
+for shard in sorted(folder.glob("*.tar")):
+    for key, sample in samples(shard, names):
+        read[key] = sample
+""",
+    "hdf5": """
+import h5py
+for shard in sorted(folder.glob("test-*.h5")):
+    with h5py.File(shard) as file:
+        for key, group in file.items():
+            read[key] = {name: group[name][()] for name in names}
+            units |= {name: group[name].attrs["units"] for name in names}
+""",
+    "parquet": """
+import numpy
+from pyarrow import parquet
+for shard in sorted(folder.glob("test-*.parquet")):
+    for row in parquet.read_table(shard, columns=["key", *names]).to_pylist():
+        read[row["key"]] = {name: numpy.array(row[name]) for name in names}
+""",
+}
+_ALONE = """
+import json, pathlib, sys
+sys.modules["twin"] = sys.modules["reconstruction"] = None  # importing them is an error
+folder, names = pathlib.Path(sys.argv[1]), set(json.loads(sys.argv[2]))
+loader, read, units = sys.argv[3], {}, {}
+READER
+known = {k: {n: [list(v.shape), float(v.sum())] for n, v in s.items()} for k, s in read.items()}
+print(json.dumps([known, units]))
+"""
+
+
+@pytest.mark.parametrize("kind", [*_READERS])
+def test_a_process_without_the_twin_reads_each_format(made: MadeSet, tmp_path, kind: str) -> None:
+    """Expected: shapes of schema.json and values of the store; in HDF5 the units of schema.json."""
+    out = made.folder
+    if kind != "webdataset":
+        out = tmp_path / kind
+        recipe = made.recipe.model_copy(update={"format": kind})
+        pack(recipe, made.bases, made.draws, made.work, out)
+    names = ["depth_mm", "normal_world", "order_column", "label"]
+    script = _ALONE.replace("READER", _READERS[kind])
+    words = [str(out), json.dumps(names), block_of("import io").text]
+    printed = subprocess.run(
+        [sys.executable, "-I", "-c", script, *words], check=True, capture_output=True, cwd=tmp_path
+    ).stdout
+    read, units = json.loads(printed)
+    schema = json.loads((out / "schema.json").read_text(encoding="utf-8"))["files"]
+    assert units == ({name: schema[f"{name}.npy"]["unit"] for name in names} if units else {})
+    assert bool(units) == (kind == "hdf5")
+    assert len(read) == COUNT - 1
+    for draw in made.draws:
+        if draw.case is None:
+            continue
+        for name in names:
+            folder = Store(made.work).path_of(draw.case.digest) / SAMPLE_FOLDER
+            stored = np.load(folder / f"{name}.npy")
+            shape, total = read[draw.key][name]
+            assert shape == list(stored.shape)
+            assert total == pytest.approx(float(stored.sum()), rel=1e-5)

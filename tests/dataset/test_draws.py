@@ -5,11 +5,13 @@ import pytest
 from scipy import stats
 
 from tests.dataset.conftest import RECIPE
+from twin.camera.sensor import noise_model
 from twin.config import load_experiment, vary
 from twin.config.base import ConfigError
 from twin.config.dataset import Recipe, SplitShares, load_recipe
 from twin.config.inputs import Input
 from twin.dataset.draws import draw_sample, levels_of, object_digest, scene_of, share_of
+from twin.optics.rig import true_calibration
 from twin.study.trials import drawn_values
 
 SEED_AXIS = {"path": "specimen.seed", "low": 0, "high": 1000, "integer": True}
@@ -171,6 +173,50 @@ hold = ["depth_mm"]
     (tmp_path / "none.toml").write_text(text.replace("*.npy", "*.stl"), encoding="utf-8")
     with pytest.raises(ConfigError, match=r"files = './maps/\*\.stl': found no such file"):
         load_recipe(tmp_path / "none.toml")
+
+
+def test_rigs_exposure_noise_and_assemblies_are_drawn() -> None:
+    """Expected: each key of the drawn experiment has the distribution of the recipe.
+
+    Tolerances of the rig are normal deviations of poses and lenses; the others are axes.
+    """
+    tolerances = {"projector.pose.polar_deg": 0.5, "camera.pose.standoff_mm": 0.3}
+    tolerances |= {"projector.blur_px": 0.05}
+    inputs = {
+        key.rpartition(".")[2]: Input(group="optics", key=key, distribution="normal", spread=spread)
+        for key, spread in tolerances.items()
+    }
+    ranges = {"camera.exposure_ms": (5.0, 20.0), "camera.read_noise_e": (2.0, 9.0)}
+    axes = [{"path": path, "low": low, "high": high} for path, (low, high) in ranges.items()]
+    axes.append({"path": "specimen.seed", "low": 0, "high": 2**32 - 1, "integer": True})
+    axes.append({"path": "specimen.count", "values": [3, 4, 5]})
+    recipe = recipe_of(*axes, inputs=inputs)
+    material = {"kind": "diffuse", "albedo": 0.5}
+    base = vary(
+        load_experiment("examples/gauges"),
+        {"specimen": {"kind": "random_group", "material": material}},
+    )
+    draws = [draw_sample(recipe, (base,), number) for number in range(60)]
+    drawn = [draw.case.experiment for draw in draws]
+    for key, spread in tolerances.items():
+        law = stats.norm(field_at(base, key), spread)
+        assert stats.kstest([field_at(each, key) for each in drawn], law.cdf).pvalue > 0.01, key
+    for key, (low, high) in ranges.items():
+        law = stats.uniform(low, high - low)
+        assert stats.kstest([field_at(each, key) for each in drawn], law.cdf).pvalue > 0.01, key
+    rigs = [true_calibration(each).T_world_from_proj for each in drawn[:2]]
+    assert not np.allclose(*rigs, rtol=0, atol=1e-3)
+    assert {noise_model(each.camera).read_noise_e for each in drawn} == {
+        each.camera.read_noise_e for each in drawn
+    }
+    assert {len(each.specimen.components) for each in drawn} == {3, 4, 5}
+    assert len({draw.object_digest for draw in draws}) == len(draws)
+
+
+def field_at(experiment: object, path: str) -> float:
+    for name in path.split("."):
+        experiment = getattr(experiment, name)
+    return experiment
 
 
 @pytest.mark.parametrize(

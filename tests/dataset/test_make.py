@@ -3,6 +3,8 @@
 import io
 import json
 import tarfile
+from pathlib import Path
+from types import SimpleNamespace
 
 import h5py
 import numpy as np
@@ -16,6 +18,7 @@ from tests.dataset.conftest import COUNT, MadeSet
 from twin.cli import run
 from twin.config.dataset import SampleContent
 from twin.dataset.make import draw_all, pack, take_samples
+from twin.dataset.shards import PackedSample, write_shards
 from twin.dataset.taking import SAMPLE_FOLDER, SampleMeasurer
 from twin.study.store import Store
 from twin.study.worker import forget_stages
@@ -127,6 +130,23 @@ def test_a_tar_shard_is_that_of_tarfile(made: MadeSet) -> None:
                     np.save(saved, np.load(io.BytesIO(content)))
                     assert saved.getvalue() == content
         assert shard.read_bytes() == expected.getvalue()
+
+
+class _Growing(type(Path())):
+    """A file that is larger when its size is read than when its content is."""
+
+    def stat(self, **options: object) -> SimpleNamespace:
+        return SimpleNamespace(st_size=super().stat(**options).st_size + 1)
+
+
+def test_a_file_that_changes_while_it_is_packed_is_an_error(tmp_path) -> None:
+    """Else the tar file would be damaged from this member on."""
+    (tmp_path / "depth_mm.npy").write_bytes(bytes(100))
+    files = {"depth_mm.npy": _Growing(tmp_path / "depth_mm.npy")}
+    sample = PackedSample("0", "test", files, {"object": "ball"})
+    with pytest.raises(InputError, match=r"depth_mm\.npy: changed while the data set was written"):
+        write_shards(tmp_path, [sample], "webdataset", 1.0)
+    assert [path.name for path in tmp_path.iterdir()] == ["depth_mm.npy"]
 
 
 def test_packing_again_gives_the_same_bytes_and_removes_shards(made: MadeSet, tmp_path) -> None:

@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 from twin.config import load_experiment
-from twin.optics.creases import CREASE_DEG, split_at_creases
+from twin.optics.creases import CREASE_DEG, adjacent_facets, split_at_creases
 from twin.specimens import bodies
 
 KINDS = ("bar", "brick", "flat", "nut", "random_relief", "rods", "step", "t_bolt", "v_groove")
@@ -44,3 +44,15 @@ def test_a_box_has_three_vertices_at_each_corner_and_a_ball_has_one() -> None:
     assert np.abs(np.abs(box.vertex_normals).max(axis=1) - 1.0).max() < 1e-12
     ball = trimesh.creation.icosphere(3)
     assert len(split_at_creases(ball).vertices) == len(ball.vertices)
+
+
+@pytest.mark.parametrize("name", [*SOLIDS, "random_relief", "nut"])
+def test_adjacent_facets_are_those_of_trimesh(name: str) -> None:
+    for mesh in meshes(name):
+        pairs = np.unique(np.sort(adjacent_facets(mesh.faces), axis=1), axis=0)
+        assert np.array_equal(pairs, np.unique(mesh.face_adjacency, axis=0).reshape(-1, 2))
+
+
+def test_an_edge_of_three_facets_joins_none_of_them() -> None:
+    pages = np.array([(0, 1, 2), (0, 1, 3), (0, 1, 4), (0, 2, 5)])
+    assert adjacent_facets(pages).tolist() == [[0, 3]]

@@ -20,6 +20,7 @@ from reconstruction.writing import (
     write_bytes,
     write_exr_channels,
     write_npz,
+    write_parts,
     write_png,
     write_text,
 )
@@ -162,3 +163,24 @@ def test_no_library_is_given_a_path():
     files = (*ROOT.glob("twin/**/*.py"), *ROOT.glob("reconstruction/**/*.py"))
     result = {file for file in files if re.search(WRITING, file.read_text())}
     assert {file.name for file in result} - CHILDREN == {"writing.py"}
+
+
+def test_parts_are_requested_one_after_another(tmp_path) -> None:
+    """Expected: a part is on the disk before the next is requested; a failure changes nothing."""
+    path, sizes = tmp_path / "whole.bin", []
+
+    def parts(most: int):
+        for number in range(4):
+            sizes.append(sum(file.stat().st_size for file in tmp_path.iterdir()))
+            if number == most:
+                raise OSError(errno.EIO, "broken")
+            yield bytes([number]) * 10
+
+    write_parts(path, parts(4))
+    assert sizes == [0, 10, 20, 30]
+    assert path.read_bytes() == b"".join(bytes([number]) * 10 for number in range(4))
+    with pytest.raises(OSError, match="broken") as failure:
+        write_parts(path, parts(2))
+    assert failure.value.filename == str(path)
+    assert [file.name for file in tmp_path.iterdir()] == ["whole.bin"]
+    assert len(path.read_bytes()) == 40

@@ -17,6 +17,7 @@ from twin.config.base import Fraction, Model
 from twin.config.bounds import Spread
 from twin.config.inputs import Input, require_distinct_keys
 from twin.config.loading import load_experiment, read_toml, resolve_uses, vary
+from twin.config.methods import Method
 from twin.config.models import Experiment
 from twin.config.schema import validated
 from twin.config.study import with_inputs, without_absent
@@ -47,6 +48,12 @@ class SampleContent(Model):
     frames: Literal["npy", "png"] = Field(
         default="npy",
         description="frames as one array, or as one PNG file each (only format = 'webdataset')",
+    )
+    methods: tuple[Method, ...] = Field(
+        default=(),
+        exclude_if=lambda methods: not methods,
+        description="methods that measure each object, with one press; names of arrays then begin "
+        "with the method; default: the method of the scene",
     )
 
 
@@ -91,8 +98,8 @@ class Recipe(Model):
     format: Literal["webdataset", "hdf5", "parquet"] = "webdataset"
     shard_mb: Annotated[float, Field(ge=0.01, le=4096)] = Field(
         default=256.0,
-        description="size of a shard, 10^6 bytes; a shard has at least one sample. It is built in "
-        "memory",
+        description="size of a shard, 10^6 bytes; a shard has at least one sample. HDF5 and "
+        "Parquet shards are built in memory",
     )
 
     @model_validator(mode="after")
@@ -105,6 +112,11 @@ class Recipe(Model):
                 raise ValueError(f"axis: found {twice[0]} twice in scene {scene.name}; rename one")
         if twice := _repeated(list(self.sample.hold)):
             raise ValueError(f"sample.hold: found {twice[0]} twice; remove one")
+        if len(self.sample.methods) == 1 or _repeated(list(self.sample.methods)):
+            raise ValueError(
+                f"sample.methods: found {', '.join(self.sample.methods)}, allowed two or three "
+                "different methods; for one method set modality in the scene"
+            )
         if self.sample.frames == "png" and self.format != "webdataset":
             raise ValueError(
                 f"sample.frames: found 'png', allowed 'npy' with format = '{self.format}'"

@@ -18,6 +18,7 @@ from twin.config.axis import Axis, Level
 from twin.config.dataset import Recipe, RecipeScene
 from twin.config.digest import keyed_sequence, with_file_contents
 from twin.config.study import without_absent
+from twin.dataset.methods import parts_of
 from twin.study.cases import Case, case_of
 from twin.study.measuring import Conditions
 from twin.study.trials import draw, drawn_values
@@ -84,6 +85,7 @@ def draw_sample(recipe: Recipe, bases: Sequence[Experiment], number: int) -> Sam
         if recipe.inputs:
             settings |= drawn_values(experiment, recipe.inputs, recipe.seed, number + 1)
             experiment = draw(experiment, recipe.inputs, recipe.seed, number + 1)
+        parts_of(recipe.sample, experiment)  # valid by every method
     except ConfigError as error:
         return SampleDraw(number, scene.name, settings, None, " ".join(str(error).split()))
     # The number of the trial selects the camera's noise: two samples have independent noise.

@@ -14,12 +14,14 @@ from typing import Any
 import tomli_w
 
 from reconstruction.errors import InputError, counted
-from reconstruction.evaluate.samples import SPLITS, npy
+from reconstruction.evaluate.samples import CALIBRATION_JSON, SPLITS, npy
 from reconstruction.writing import write_bytes, write_text
 from twin.config import Experiment
 from twin.config.dataset import Recipe
+from twin.config.methods import Method
 from twin.dataset.draws import SampleDraw, draw_sample
-from twin.dataset.quantities import SAMPLE_QUANTITIES, check_held
+from twin.dataset.methods import check_content
+from twin.dataset.quantities import quantity_of
 from twin.dataset.shards import (
     EXPERIMENT_TOML,
     SAMPLE_JSON,
@@ -99,7 +101,7 @@ def draw_all(recipe: Recipe, bases: Sequence[Experiment], count: int) -> tuple[S
     if not 1 <= count <= MOST_SAMPLES:
         raise InputError(f"--samples: found {count}, allowed 1 to {MOST_SAMPLES}")
     for base in bases:
-        check_held(recipe.sample.hold, base)
+        check_content(recipe.sample, base)
     return tuple(draw_sample(recipe, bases, number) for number in range(count))
 
 
@@ -160,7 +162,7 @@ def pack(
     InputError : `out` cannot be written, no sample has a result, or pyarrow is not installed
     """
     arrow(INDEX_PARQUET)
-    samples, rows = _packed(draws, Store(work))
+    samples, rows = _packed(draws, Store(work), recipe.sample.methods)
     if not samples:
         reasons = "; ".join(dict.fromkeys(str(row["reason"]) for row in rows))
         raise InputError(f"{out}: no sample has a result: {reasons}")
@@ -186,7 +188,7 @@ def pack(
 
 
 def _packed(
-    draws: Sequence[SampleDraw], store: Store
+    draws: Sequence[SampleDraw], store: Store, methods: tuple[Method, ...]
 ) -> tuple[list[PackedSample], list[dict[str, Any]]]:
     """Return the samples that have a result, and a row for each drawn sample."""
     entries = Index(store).entries()
@@ -202,13 +204,14 @@ def _packed(
             "reason": draw.reason,
             "digest": None if draw.case is None else draw.case.digest,
         }
+        row |= {"methods": ", ".join(methods)} if methods else {}
         row |= {f"{DRAWN}{name}": value for name, value in draw.settings.items()}
         entry = None if draw.case is None else entries.get(draw.case.digest)
         if entry is not None and entry.state == "done":
             folder = store.path_of(entry.digest)
-            samples.append(
-                PackedSample(draw.key, draw.split, _files(folder), _described(draw, entry.figures))
-            )
+            described = _described(draw, entry.figures)
+            described |= {"methods": list(methods)} if methods else {}
+            samples.append(PackedSample(draw.key, draw.split, _files(folder), described))
             row |= {"state": "done"}
             row |= {f"{FIGURE}{name}": value for name, value in _plain(entry.figures).items()}
         elif draw.case is not None:
@@ -249,9 +252,9 @@ def sample_schema(samples: Sequence[PackedSample]) -> dict[str, Any]:
     files = {name: path for sample in reversed(samples) for name, path in sample.files.items()}
     for name, path in files.items():
         stem = name.partition(".")[0]
-        quantity = SAMPLE_QUANTITIES.get(stem)
+        quantity = quantity_of(stem)
         if quantity is None:
-            described[name] = {"type": "text", "meaning": _TEXTS[name]}
+            described[name] = {"type": "text", "meaning": _meaning_of_text(name)}
             continue
         described[name] = {
             "axes": list(quantity.axes),
@@ -267,8 +270,12 @@ def sample_schema(samples: Sequence[PackedSample]) -> dict[str, Any]:
 _TEXTS = {
     EXPERIMENT_TOML: "the resolved experiment",
     SAMPLE_JSON: "scene, split, object, drawn values, figures, and the trial (seed of the noise)",
-    "calibration.json": "pinholes, poses and layers of camera and projector, mm",
 }
+_CALIBRATION_MEANING = "pinholes, poses and layers of camera and projector, mm"
+
+
+def _meaning_of_text(name: str) -> str:
+    return _CALIBRATION_MEANING if name.endswith(CALIBRATION_JSON) else _TEXTS[name]
 
 
 def _write_index(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:

@@ -36,6 +36,13 @@ def white(taken: TakenSample) -> Array:
     return np.asarray(taken.fringes.radiance.frames[taken.patterns.index("white").start])
 
 
+def albedo(taken: TakenSample) -> Array:
+    """Return the reflectance of the surface at normal incidence."""
+    if taken.albedo is None:
+        raise TypeError("the albedo was not traced")
+    return taken.albedo
+
+
 def label(taken: TakenSample) -> Array:
     """Return the label of each pixel, uint8."""
     truth = taken.truth

@@ -16,6 +16,7 @@ import numpy as np
 from reconstruction.errors import InputError
 from reconstruction.patterns import Axis
 from twin.config import Experiment
+from twin.config.methods import METHODS
 from twin.dataset import pixel_values
 from twin.dataset.pixel_values import Array
 from twin.dataset.taken import TakenSample
@@ -123,6 +124,13 @@ SAMPLE_QUANTITIES: Mapping[str, SampleQuantity] = {
         pixel_values.white,
         ("fringes", "uniform"),
     ),
+    "albedo": SampleQuantity(
+        PIXELS,
+        "1",
+        "reflectance of the surface at normal incidence, diffuse and specular; 0 no surface",
+        pixel_values.albedo,
+        ("fringes",),
+    ),
     "image": SampleQuantity(
         COLOURS,
         "level",
@@ -219,6 +227,25 @@ def needs_decoding(held: tuple[str, ...]) -> bool:
     return any("decoded" in SAMPLE_QUANTITIES[name].needs for name in held)
 
 
+def needs_albedo(held: tuple[str, ...]) -> bool:
+    """Return True if one of the named quantities is the albedo, which is traced by itself."""
+    return "albedo" in held
+
+
+def quantity_of(name: str) -> SampleQuantity | None:
+    """Return the quantity of an array of a sample, which may begin with a method; None if none."""
+    method = next((method for method in METHODS if name.startswith(f"{method}_")), None)
+    return SAMPLE_QUANTITIES.get(name if method is None else name.removeprefix(f"{method}_"))
+
+
+def check_known(held: tuple[str, ...]) -> None:
+    """Check that all names of a list are quantities; InputError if one is not."""
+    for name in held:
+        if name not in SAMPLE_QUANTITIES:
+            allowed = ", ".join(SAMPLE_QUANTITIES)
+            raise InputError(f"sample.hold: found '{name}', allowed: {allowed}")
+
+
 def check_held(held: tuple[str, ...], experiment: Experiment) -> None:
     """Check that an experiment has all quantities of a list.
 
@@ -226,10 +253,7 @@ def check_held(held: tuple[str, ...], experiment: Experiment) -> None:
     ------
     InputError : a name is not known, or the experiment has no such quantity
     """
-    for name in held:
-        if name not in SAMPLE_QUANTITIES:
-            allowed = ", ".join(SAMPLE_QUANTITIES)
-            raise InputError(f"sample.hold: found '{name}', allowed: {allowed}")
+    check_known(held)
     traits = _traits_of(experiment)
     for name in held:
         missing = [need for need in SAMPLE_QUANTITIES[name].needs if need not in traits]
@@ -238,6 +262,13 @@ def check_held(held: tuple[str, ...], experiment: Experiment) -> None:
                 f"sample.hold: {name}: needs {_NEEDS[missing[0]]}; {experiment.name} has none; "
                 "remove the name, or change the scene"
             )
+
+
+def held_by(names: tuple[str, ...], experiment: Experiment) -> tuple[str, ...]:
+    """Return those of the named quantities that an experiment has."""
+    traits = _traits_of(experiment)
+    known = (name for name in names if name in SAMPLE_QUANTITIES)
+    return tuple(name for name in known if traits.issuperset(SAMPLE_QUANTITIES[name].needs))
 
 
 _NEEDS: Mapping[Need, str] = {

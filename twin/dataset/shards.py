@@ -1,27 +1,31 @@
 """Pack samples into shards: WebDataset tar files, HDF5 or Parquet files.
 
-A shard is built in memory and then written, see `reconstruction.writing`. Equal samples give equal
-bytes: a tar file has no times, owners or order of its own. Shards are named SPLIT-NNNNNN.
+An HDF5 or Parquet shard is built in memory and then written, see `reconstruction.writing`; a tar
+file is written piece by piece. Equal samples give equal bytes: a tar file has no times, owners or
+order of its own. Shards are named SPLIT-NNNNNN.
 """
 
 import io
 import json
 import tarfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from reconstruction.errors import InputError
 from reconstruction.evaluate.samples import SPLITS, npy
-from reconstruction.writing import write_bytes
-from twin.dataset.quantities import SAMPLE_QUANTITIES
+from reconstruction.writing import write_parts
+from twin.dataset.quantities import quantity_of
 from twin.extras import missing
 
 ENDINGS = {"webdataset": "tar", "hdf5": "h5", "parquet": "parquet"}
 SAMPLE_JSON, EXPERIMENT_TOML = "sample.json", "experiment.toml"
 _MODE = 0o644
+_PIECE_BYTES = 2**20
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,15 +55,18 @@ class PackedSample:
         """Size of all files."""
         return sum(path.stat().st_size for path in self.files.values()) + len(self.json_bytes)
 
+    def members(self) -> Iterator[tuple[str, Path | bytes]]:
+        """Yield name and path or bytes of every file, sorted by name."""
+        for name in sorted({*self.files, SAMPLE_JSON}):
+            yield name, self.json_bytes if name == SAMPLE_JSON else self.files[name]
+
     def contents(self) -> Iterator[tuple[str, bytes]]:
         """Yield name and bytes of every file, sorted by name."""
-        named = {**dict.fromkeys(self.files), SAMPLE_JSON: None}
-        for name in sorted(named):
-            known = self.json_bytes if name == SAMPLE_JSON else self.files[name].read_bytes()
-            yield name, known
+        for name, content in self.members():
+            yield name, content if isinstance(content, bytes) else content.read_bytes()
 
 
-_Encoder = Callable[[Sequence[PackedSample]], Sequence[bytes | memoryview]]
+_Encoder = Callable[[Sequence[PackedSample]], Iterable[bytes | memoryview]]
 """Returns the parts of a shard's content, in their order."""
 
 
@@ -82,51 +89,67 @@ def write_shards(
 
     Raises
     ------
-    InputError : pyarrow, which Parquet needs, is not installed
-    OSError : a shard cannot be written
+    InputError : pyarrow, which Parquet needs, is not installed; or a file of a sample changed
+    OSError : a shard cannot be written, or a file of a sample cannot be read
     """
     encoders: dict[str, _Encoder] = {"webdataset": _tar, "hdf5": _hdf5, "parquet": _parquet}
     encode = encoders[kind]
-    waiting: dict[str, list[PackedSample]] = {split: [] for split in SPLITS}
+    shards = shards_of(samples, ENDINGS[kind], shard_mb)
+
+    def write(name: str) -> int:
+        write_parts(folder / name, encode(shards[name]), durable=True)
+        return len(shards[name])
+
+    # The device stores one tar file while the next one is read. Others would need twice the memory.
+    with ThreadPoolExecutor(2 if kind == "webdataset" else 1) as pool:
+        for count in pool.map(write, shards):
+            watch(count)
+    return {sample.key: name for name, some in shards.items() for sample in some}
+
+
+def shards_of(
+    samples: Iterable[PackedSample], ending: str, shard_mb: float
+) -> dict[str, list[PackedSample]]:
+    """Return the samples of each shard by its name; arguments as those of `write_shards`."""
+    shards: dict[str, list[PackedSample]] = {}
     sizes, counts = dict.fromkeys(SPLITS, 0), dict.fromkeys(SPLITS, 0)
-    shard_of: dict[str, str] = {}
-
-    def write(split: str) -> None:
-        some = waiting[split]
-        name = f"{split}-{counts[split]:06d}.{ENDINGS[kind]}"
-        write_bytes(folder / name, *encode(some))
-        shard_of.update((sample.key, name) for sample in some)
-        counts[split] += 1
-        watch(len(some))
-        waiting[split], sizes[split] = [], 0
-
     for sample in samples:
-        size = sample.size_bytes
-        if waiting[sample.split] and sizes[sample.split] + size > 1e6 * shard_mb:
-            write(sample.split)
-        waiting[sample.split].append(sample)
-        sizes[sample.split] += size
-    for split in SPLITS:
-        if waiting[split]:
-            write(split)
-    return shard_of
+        split, size = sample.split, sample.size_bytes
+        sizes[split] += size
+        if not counts[split] or sizes[split] > 1e6 * shard_mb:
+            counts[split], sizes[split] = counts[split] + 1, size
+        shards.setdefault(f"{split}-{counts[split] - 1:06d}.{ending}", []).append(sample)
+    return shards
 
 
-def _tar(samples: Sequence[PackedSample]) -> list[bytes]:
-    """Return a tar file with the members KEY.NAME, those of one sample in sequence.
-
-    The file is returned in parts, because joining them would take as long as writing them.
-    """
-    parts: list[bytes] = []
+def _tar(samples: Sequence[PackedSample]) -> Iterator[bytes]:
+    """Yield the parts of a tar file with the members KEY.NAME, those of one sample in sequence."""
+    written = 2 * tarfile.BLOCKSIZE
     for sample in samples:
-        for name, content in sample.contents():
+        for name, content in sample.members():
             member = tarfile.TarInfo(f"{sample.key}.{name}")
-            member.size, member.mode = len(content), _MODE
-            padding = bytes(-len(content) % tarfile.BLOCKSIZE)
-            parts += [member.tobuf(tarfile.USTAR_FORMAT), content, padding]
+            member.mode = _MODE
+            if isinstance(content, Path):
+                member.size = content.stat().st_size
+                pieces = _pieces(content, member.size)
+            else:
+                member.size, pieces = len(content), iter([content])
+            yield member.tobuf(tarfile.USTAR_FORMAT)
+            yield from pieces
+            yield bytes(-member.size % tarfile.BLOCKSIZE)
+            written += tarfile.BLOCKSIZE + member.size + -member.size % tarfile.BLOCKSIZE
     # Two empty blocks end the file, which is filled up to whole records.
-    size = sum(map(len, parts)) + 2 * tarfile.BLOCKSIZE
-    return [*parts, bytes(2 * tarfile.BLOCKSIZE + -size % tarfile.RECORDSIZE)]
+    yield bytes(2 * tarfile.BLOCKSIZE + -written % tarfile.RECORDSIZE)
+
+
+def _pieces(path: Path, size: int) -> Iterator[bytes]:
+    """Yield the content of a file piece by piece; InputError if it has another size."""
+    with path.open("rb", buffering=0) as file:
+        while piece := file.read(_PIECE_BYTES):
+            size -= len(piece)
+            yield piece
+    if size:
+        raise InputError(f"{path}: changed while the data set was written; run again")
 
 
 def _hdf5(samples: Sequence[PackedSample]) -> list[memoryview]:
@@ -143,7 +166,8 @@ def _hdf5(samples: Sequence[PackedSample]) -> list[memoryview]:
                     group.attrs[name] = content.decode()
                     continue
                 array = group.create_dataset(stem, data=npy(content), track_times=False)
-                array.attrs["units"] = SAMPLE_QUANTITIES[stem].unit
+                quantity = quantity_of(stem)
+                array.attrs["units"] = "" if quantity is None else quantity.unit
     return [made.getbuffer()]
 
 

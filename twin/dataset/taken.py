@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from reconstruction.arrays import FloatImage
 from reconstruction.patterns import PatternSet
 from reconstruction.pipeline import Reconstruction
 from twin.config import Experiment
@@ -22,6 +23,7 @@ class TakenSample:
     recording : frames and radiance of fringe projection; None for photometric stereo
     reconstruction : decoded frames; None if no quantity needs them
     colours : image of a photometric sensor with its decoded heights; None for fringes
+    albedo : (row, col) reflectance of the surface; None if no quantity needs it
     """
 
     experiment: Experiment
@@ -30,6 +32,7 @@ class TakenSample:
     recording: Recording | None = None
     reconstruction: Reconstruction | None = None
     colours: Colours | None = None
+    albedo: FloatImage | None = None
 
     @property
     def patterns(self) -> PatternSet:

@@ -2,8 +2,9 @@
 
 import io
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,19 +12,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.capture.folder import Capture
+from reconstruction.evaluate.samples import CALIBRATION_JSON
 from reconstruction.pipeline import reconstruct
 from reconstruction.rig.pinhole import Pinhole
 from reconstruction.writing import write_bytes, write_png
 from twin.config import Experiment
 from twin.config.dataset import SampleContent
-from twin.dataset.quantities import SAMPLE_QUANTITIES, check_held, needs_decoding
+from twin.dataset.methods import MethodPart, check_content, parts_of, together
+from twin.dataset.quantities import SAMPLE_QUANTITIES, needs_albedo, needs_decoding, quantity_of
 from twin.dataset.taken import TakenSample
 from twin.output import write_json
 from twin.pipeline import measure
 from twin.pipeline.captures import options_of
 from twin.pipeline.fringes import expose_capture, record, render_bare
+from twin.pipeline.lit_frames import albedo
 from twin.pipeline.memory import Memory
-from twin.pipeline.press import press
+from twin.pipeline.press import PressedFace, press
 from twin.pipeline.progress import Stopwatch
 from twin.results.figures import Metrics
 from twin.results.parts import taken_figures
@@ -31,7 +35,7 @@ from twin.results.score import metrics, score
 from twin.study.measuring import NOMINAL_CONDITIONS, CaseMeasurer, CaseResult, Conditions
 
 SAMPLE_FOLDER = "sample"
-CALIBRATION_JSON = "calibration.json"
+_CALIBRATION = CALIBRATION_JSON.removesuffix(".json")
 
 
 @dataclass
@@ -57,14 +61,20 @@ class SampleMeasurer(CaseMeasurer):
         """
         self._computed_before = self.memory.requests()
         self.memory.calibrations = self.calibrations
-        check_held(self.content.hold, experiment)
-        taken, figures = take_sample(
-            experiment,
-            self.memory,
-            conditions.trial,
-            decode=needs_decoding(self.content.hold),
-        )
-        return CaseResult(figures, _writer(taken, self.content))
+        check_content(self.content, experiment)
+        figures: list[tuple[MethodPart, Metrics]] = []
+        files: dict[str, Content] = {}
+        for part in parts_of(self.content, experiment):
+            taken, known = take_sample(
+                part.experiment,
+                self.memory,
+                conditions.trial,
+                decode=needs_decoding(part.held),
+                with_albedo=needs_albedo(part.held),
+            )
+            figures.append((part, known))
+            files |= _files_of(taken, part)
+        return CaseResult(together(figures), partial(_write, files, self.content))
 
 
 @dataclass(frozen=True)
@@ -88,7 +98,7 @@ class SampleMeasuring:
 
 
 def take_sample(
-    experiment: Experiment, memory: Memory, trial: int, *, decode: bool
+    experiment: Experiment, memory: Memory, trial: int, *, decode: bool, with_albedo: bool = False
 ) -> tuple[TakenSample, Metrics]:
     """Run the stages of a measurement that a sample needs; return their results and figures.
 
@@ -97,6 +107,7 @@ def take_sample(
     memory : cache of stage results
     trial : number that selects the temporal noise
     decode : whether fringes are decoded and scored; an image of a photometric sensor always is
+    with_albedo : whether the albedo of the surface is traced, by methods with fringes
 
     Raises
     ------
@@ -116,27 +127,40 @@ def take_sample(
     if decode:
         maps = reconstruct(recording.capture, options_of(experiment.decode))
         figures = {**figures, **metrics(score(experiment, maps, recording.truth))}
-    return TakenSample(experiment, recording.truth, pressed, recording, maps), figures
+    reflectance = None
+    if with_albedo:
+        face = None if pressed is None else PressedFace.of(pressed)
+        reflectance = albedo(experiment, face, memory)
+    taken = TakenSample(experiment, recording.truth, pressed, recording, maps, albedo=reflectance)
+    return taken, figures
 
 
-def _writer(taken: TakenSample, content: SampleContent) -> Callable[[Path], None]:
-    # The arrays are computed here, where it may fail; `write` then only accesses the disk.
-    arrays = {name: SAMPLE_QUANTITIES[name].values(taken) for name in content.hold}
-    recording = taken.recording
-    calibration = None if recording is None else calibration_tree(recording.capture)
+Content = NDArray[Any] | Mapping[str, Any]
+"""Content of a file of a sample: an array, or the tables of a JSON file."""
 
-    def write(folder: Path) -> None:
-        (folder / SAMPLE_FOLDER).mkdir()
-        for name, values in arrays.items():
-            if name == "frames" and content.frames == "png":
-                for number, frame in enumerate(values):
-                    write_png(folder / SAMPLE_FOLDER / f"{name}.{number:03d}.png", frame)
-            else:
-                write_bytes(folder / SAMPLE_FOLDER / f"{name}.npy", *npy_parts(values))
-        if calibration is not None:
-            write_json(folder / SAMPLE_FOLDER / CALIBRATION_JSON, calibration)
 
-    return write
+def _files_of(taken: TakenSample, part: MethodPart) -> dict[str, Content]:
+    """Return the content of the files that one method gives, by name without ending."""
+    # The arrays are computed here, where it may fail; `_write` then only accesses the disk.
+    files: dict[str, Content] = {
+        f"{part.prefix}{name}": SAMPLE_QUANTITIES[name].values(taken) for name in part.held
+    }
+    if taken.recording is not None:
+        files[f"{part.prefix}{_CALIBRATION}"] = calibration_tree(taken.recording.capture)
+    return files
+
+
+def _write(files: Mapping[str, Content], content: SampleContent, folder: Path) -> None:
+    inside = folder / SAMPLE_FOLDER
+    inside.mkdir()
+    for name, values in files.items():
+        if not isinstance(values, np.ndarray):
+            write_json(inside / f"{name}.json", values)
+        elif content.frames == "png" and quantity_of(name) is SAMPLE_QUANTITIES["frames"]:
+            for number, frame in enumerate(values):
+                write_png(inside / f"{name}.{number:03d}.png", frame)
+        else:
+            write_bytes(inside / f"{name}.npy", *npy_parts(values))
 
 
 def npy_parts(values: NDArray[Any]) -> tuple[bytes, memoryview]:

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from reconstruction.arrays import FloatImage
 from reconstruction.errors import InputError
 from twin.config import digest
 from twin.config.digest import content_digest
@@ -110,6 +111,26 @@ def traced(
         view.token,
         lambda watched: trace.patches_of(watched, geometry.value, view.value),
     )
+
+
+def albedo(experiment: Experiment, pressed: PressedFace | None, memory: Memory) -> FloatImage:
+    """Return the albedo (row, col) of the surface at every camera pixel.
+
+    It is the reflectance at normal incidence, diffuse and specular light together.
+
+    Parameters
+    ----------
+    pressed : pressed face; None: the bare specimen
+
+    Raises
+    ------
+    InputError, MissingBackend : for the reasons of `loaded`
+    """
+    from twin.pipeline import trace
+
+    geometry = loaded(experiment, pressed, memory)
+    view = viewed(experiment, geometry, memory)
+    return trace.surface_albedo(experiment, geometry.value, view.value)
 
 
 def lit(

@@ -11,9 +11,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from reconstruction.arrays import FloatImage
 from twin.config.digest import seed_sequence
 from twin.config.models import Experiment
 from twin.mechanics.relief import FaceGrid
+from twin.optics.albedo import albedo_of
 from twin.optics.bounces import Bounces
 from twin.optics.checks import check_focus, check_stock
 from twin.optics.connection import Rig, axial_range_mm
@@ -135,6 +137,13 @@ def patches_of(experiment: Experiment, geometry: Geometry, view: View) -> Patche
     if geometry.face is None:
         return rays
     return with_glints(experiment, geometry.face, view.rig, view.truth, rays)
+
+
+@renderer_session()
+def surface_albedo(experiment: Experiment, geometry: Geometry, view: View) -> FloatImage:
+    """Return the albedo (row, col) of the surface at every camera pixel, see `albedo_of`."""
+    dress(experiment, geometry)
+    return albedo_of(geometry.scene, view.rig)
 
 
 @renderer_session()

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from reconstruction.evaluate.samples import SPLITS, npy
 from reconstruction.writing import write_text
+from twin.config.methods import TRAITS
 from twin.dataset.make import DRAWN, PackedDataSet
-from twin.dataset.quantities import SAMPLE_QUANTITIES
+from twin.dataset.quantities import quantity_of
 from twin.dataset.shards import ENDINGS, PackedSample
 from twin.output import versions
 from twin.report.canvas import (
@@ -78,6 +79,7 @@ def card_text(folder: Path, packed: PackedDataSet) -> str:
             "No value is NaN; a quantity is 0 where it does not exist. Lengths in mm; world frame: "
             "z up towards the devices.",
             "",
+            *_methods(packed),
             *_contents(packed),
             "",
             "## Distributions",
@@ -121,6 +123,15 @@ def _splits(packed: PackedDataSet) -> list[str]:
         share = getattr(packed.recipe.split, split)
         rows.append((split, f"{share:g}", str(len(objects)), str(len(inside))))
     return _table(("split", "share of the objects", "objects", "samples"), rows)
+
+
+def _methods(packed: PackedDataSet) -> list[str]:
+    """Return the sentence on the methods of a sample; nothing if there is one."""
+    methods = packed.recipe.sample.methods
+    if not methods:
+        return []
+    titles = ", ".join(f"{TRAITS[method].title} (`{method}_...`)" for method in methods)
+    return [f"Each sample has several methods on one press: {titles}.", ""]
 
 
 def _contents(packed: PackedDataSet) -> list[str]:
@@ -232,14 +243,25 @@ def _show_image(axes: Axes, sample: PackedSample) -> None:
 
 def _image_of(sample: PackedSample) -> NDArray[Any] | None:
     """Return the first frame, colour image or white image of a sample; None if it has none."""
-    if "frames.000.png" in sample.files:
+    first_frame = _file_of(sample, ("frames",), ".000.png")
+    if first_frame is not None:
         from reconstruction.reading import read_pixels
 
-        return read_pixels(sample.files["frames.000.png"])
-    for name in _PICTURED:
-        if f"{name}.npy" in sample.files:
-            values: NDArray[Any] = npy(sample.files[f"{name}.npy"].read_bytes())
-            return values[0] if SAMPLE_QUANTITIES[name].axes[0] == "frame" else values
+        return read_pixels(first_frame)
+    path = _file_of(sample, _PICTURED)
+    if path is None:
+        return None
+    values: NDArray[Any] = npy(path.read_bytes())
+    quantity = quantity_of(path.stem)
+    return values[0] if quantity is not None and quantity.axes[0] == "frame" else values
+
+
+def _file_of(sample: PackedSample, names: Sequence[str], ending: str = ".npy") -> Path | None:
+    """Return the file of the first quantity that a sample has, by its first method that has it."""
+    for name in names:
+        for prefix in ("", *(f"{method}_" for method in sample.described.get("methods", ()))):
+            if (path := sample.files.get(f"{prefix}{name}{ending}")) is not None:
+                return path
     return None
 
 
@@ -254,12 +276,12 @@ def _show_map(axes: Axes, sample: PackedSample) -> None:
 
 def _map_of(sample: PackedSample) -> NDArray[Any] | None:
     """Return the map that is drawn of a sample; None if it has none."""
-    name = next((name for name in _MAPS if f"{name}.npy" in sample.files), None)
-    if name is None:
+    path = _file_of(sample, _MAPS)
+    if path is None:
         return None
-    values: NDArray[Any] = npy(sample.files[f"{name}.npy"].read_bytes())
+    values: NDArray[Any] = npy(path.read_bytes())
     # Depth increases away from the camera: drawn negative, so that high points are bright.
-    return -values if name == "depth_mm" else values
+    return -values if path.stem.endswith("depth_mm") else values
 
 
 def drawn_columns(packed: PackedDataSet) -> dict[str, list[Any]]:

@@ -158,16 +158,36 @@ class Store:
     @contextmanager
     def writing(self, digest: str) -> Iterator[Path]:
         """Yield a folder that becomes the folder of the case if the block raises no exception."""
+        with self.part(digest) as part:
+            yield part
+            self.publish(part, digest)
+
+    @contextmanager
+    def part(self, digest: str) -> Iterator[Path]:
+        """Yield a folder for the files of a case; it is removed at the end unless published."""
         part = self.folder / _PARTS / f"{digest}.{os.getpid()}"
         shutil.rmtree(part, ignore_errors=True)
         part.mkdir()
         try:
             yield part
-            write_manifest(part / MANIFEST_FILE, RESULT, manifest_lines(part))
-            make_durable(part)
-            self._publish(part, digest)
         finally:
             shutil.rmtree(part, ignore_errors=True)
+
+    def publish(self, part: Path, digest: str) -> None:
+        """Synchronise the files of a part to the disk, and make it the folder of the case.
+
+        Raises
+        ------
+        OSError : the device cannot store them
+        """
+        write_manifest(part / MANIFEST_FILE, RESULT, manifest_lines(part))
+        make_durable(part)
+        try:
+            part.rename(self.path_of(digest))
+        except OSError:
+            if not self.path_of(digest).is_dir():  # another process was first: same content
+                raise
+        make_names_durable(self.cases)
 
     @contextmanager
     def claimed(self, digest: str) -> Iterator[bool]:
@@ -201,14 +221,6 @@ class Store:
                     shutil.rmtree(part, ignore_errors=True)
                     left.append(digest)
         return left
-
-    def _publish(self, part: Path, digest: str) -> None:
-        try:
-            part.rename(self.path_of(digest))
-        except OSError:
-            if not self.path_of(digest).is_dir():  # another process was first: same content
-                raise
-        make_names_durable(self.cases)
 
     def _make(self) -> None:
         if not self.exists():

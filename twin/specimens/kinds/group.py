@@ -9,7 +9,7 @@ from twin.config.kinds import OneOf, follows
 from twin.config.specimen_base import SPECIMENS, Specimen
 from twin.specimens.catalogue import Assembly, raised, shape_of
 
-Part = Annotated[Specimen, OneOf(SPECIMENS, without=("group",))]
+Part = Annotated[Specimen, OneOf(SPECIMENS, without=("group", "random_group"))]
 
 
 @SPECIMENS.register
