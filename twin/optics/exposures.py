@@ -5,7 +5,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from reconstruction.arrays import FloatArray
+from reconstruction.arrays import FloatArray, IntArray
 from twin.optics.frame_times import FrameTimes
 
 Places = TypeVar("Places", float, FloatArray)
@@ -13,16 +13,16 @@ Places = TypeVar("Places", float, FloatArray)
 
 @dataclass(frozen=True, eq=False)
 class ExposureNodes:
-    """Gauss nodes of one exposure: relative times, and shares of the light, which sum to 1."""
+    """Gauss nodes of exposures in row 0.
+
+    Attributes
+    ----------
+    places : (..., node) relative times
+    shares : (node,) shares of the light, which sum to 1
+    """
 
     places: FloatArray
     shares: FloatArray
-
-    @classmethod
-    def of(cls, start: float, duration: float, count: int) -> "ExposureNodes":
-        """Return `count` nodes of an exposure with a relative start and duration."""
-        nodes, weights = np.polynomial.legendre.leggauss(count)
-        return cls(start + duration * (nodes + 1.0) / 2.0, weights / 2.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +56,8 @@ class ExposureSequence:
         """Return the times, s after time 0, of relative times."""
         return self.middle_s + places * self.half_s
 
-    def nodes(self, frame: int, count: int) -> ExposureNodes:
-        """Return the Gauss nodes of a frame in row 0."""
-        return ExposureNodes.of(float(self.start[frame]), float(self.duration[frame]), count)
+    def nodes(self, frames: int | IntArray, count: int) -> ExposureNodes:
+        """Return `count` Gauss nodes of one frame, or of each of several frames."""
+        nodes, weights = np.polynomial.legendre.leggauss(count)
+        start, duration = (np.asarray(of[frames])[..., None] for of in (self.start, self.duration))
+        return ExposureNodes(start + duration * (nodes + 1.0) / 2.0, weights / 2.0)
