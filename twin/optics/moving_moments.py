@@ -2,8 +2,9 @@
 
 All samples of a pixel are traced in the middle of the sequence. Another moment adds the change of
 the ray through the pixel's centre since then: over a smooth patch all samples change alike. A ray
-does not show an edge that is in another part of its pixel, but the pixel next to it does: a pixel
-is smooth only if the centres of the eight pixels around it are.
+does not show an edge that is in another part of its pixel. Such an edge is in the middle of the
+sequence between the centres of two pixels, or crosses one of them. A pixel is smooth only if the
+image is smooth there in the middle, and if the centres of the eight pixels around it are smooth.
 """
 
 import functools
@@ -35,6 +36,8 @@ _PLACES = ("column_px", "row_px")
 # Rays of a sampled pixel over those of all pixels at one more moment, per pixel: about 7 rays of
 # each of 4 samples, with 3 times the time. A pressed face is pressed at each moment.
 _SAMPLED_OVER_MOMENT = {True: 100, False: 20}
+# Largest second differences of neighbouring pixels, px and relative to the mean weight.
+_JUMP_PX, _JUMP_OF_WHITE = 0.25, 0.05
 # Largest difference of the mean weight of all samples from that of the centre, of which it is a
 # share. One missing sample of 16 is more.
 _LIKE_CENTRE = 0.05
@@ -74,13 +77,13 @@ class Moments:
     at : pixels at each moment
     patch : (pixel,) True for pixels without light, or of which the samples form a smooth patch
     width_px : width of the image
-    spread : True if a pixel is smooth only together with those around it
+    by_centres : True if all moments but the middle are traced through the centres of the pixels
     """
 
     at: list[LitMoment]
     patch: BoolImage
     width_px: int
-    spread: bool
+    by_centres: bool
 
     @cached_property
     def lit(self) -> BoolImage:
@@ -108,10 +111,25 @@ class Moments:
         for name, limit in limits.items():
             steady &= dr.abs(self._last(name)) <= dr.opaque(mi.Float, limit)
         smooth = np.array(steady) | ~self.ever_lit
-        if self.spread:
+        if self.by_centres:
             image = smooth.reshape(-1, self.width_px)
             smooth = binary_erosion(image, np.ones((3, 3)), border_value=1).ravel()
+            smooth &= ~self._broken()
         return np.asarray(smooth & self.patch)
+
+    def _broken(self) -> BoolImage:
+        """Return True for pixels (pixel,) next to an edge in the middle of the sequence.
+
+        The image has a large second difference there along rows or columns.
+        """
+        path, limits = self.at[len(self.at) // 2].path, dict.fromkeys(_PLACES, _JUMP_PX)
+        limits["weight"] = _JUMP_OF_WHITE * self.white
+        broken = np.zeros((self.patch.size // self.width_px, self.width_px), bool)
+        for name, limit in limits.items():
+            image = np.array(getattr(path, name), np.float32).reshape(broken.shape)
+            broken[1:-1] |= np.abs(np.diff(image, 2, axis=0)) > limit
+            broken[:, 1:-1] |= np.abs(np.diff(image, 2, axis=1)) > limit
+        return broken.ravel()
 
     def curved_share(self) -> float:
         """Return the share of lit pixels that further moments may make smooth."""
