@@ -1,11 +1,17 @@
-"""Exposures of a sequence in relative time: -1 at the start of the sequence, 1 at its end."""
+"""Exposures of a sequence in relative time: -1 at the start of the sequence, 1 at its end.
+
+A scene that only vibrates is at each time as it is at one time of half a period, from its lowest
+to its highest displacement. In such a sequence the displacement, from -1 to 1, is the relative
+time, so that any number of periods needs no more moments than half a period.
+"""
 
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import TypeVar, cast
 
 import numpy as np
 
 from reconstruction.arrays import FloatArray, IntArray
+from twin.config.motion import Vibration
 from twin.optics.frame_times import FrameTimes
 
 Places = TypeVar("Places", float, FloatArray)
@@ -61,3 +67,56 @@ class ExposureSequence:
         nodes, weights = np.polynomial.legendre.leggauss(count)
         start, duration = (np.asarray(of[frames])[..., None] for of in (self.start, self.duration))
         return ExposureNodes(start + duration * (nodes + 1.0) / 2.0, weights / 2.0)
+
+
+@dataclass(frozen=True, eq=False)
+class VibratingSequence(ExposureSequence):
+    """Exposures of a scene that only vibrates; all rows are exposed at the same time.
+
+    The relative time is sin(2 pi f t + phase). `duration` is its path during an exposure, at most
+    that of a period, which is 4.
+
+    Attributes
+    ----------
+    start_s, exposure_s : (frame,) start of each exposure, and duration of all
+    frequency_hz, phase_rad : of the vibration; the phase at time 0
+    """
+
+    start_s: FloatArray
+    exposure_s: float
+    frequency_hz: float
+    phase_rad: float
+
+    @classmethod
+    def vibrating(cls, times: FrameTimes, vibration: Vibration) -> "VibratingSequence":
+        """Return the exposures of a scene with this vibration and no other motion."""
+        frequency_hz, phase_rad = vibration.frequency_hz, float(np.deg2rad(vibration.phase_deg))
+        exposure_s = float(times.duration_s[0])
+        place = np.sin(2.0 * np.pi * frequency_hz * times.start_s + phase_rad)
+        path = np.full(len(place), 4.0 * min(1.0, frequency_hz * exposure_s))
+        middle_s = -phase_rad / (2.0 * np.pi * frequency_hz)
+        of_vibration = times.start_s, exposure_s, frequency_hz, phase_rad
+        return cls(middle_s, 0.25 / frequency_hz, place, path, 0.0, *of_vibration)
+
+    def time_s(self, places: Places) -> Places:
+        """Return the times, s, of displacements, in the half period around `middle_s`."""
+        angle = np.arcsin(np.clip(places, -1.0, 1.0))
+        return self.middle_s + cast(Places, angle) / (2.0 * np.pi * self.frequency_hz)
+
+    def nodes(self, frames: int | IntArray, count: int) -> ExposureNodes:
+        """Return the nodes of exposures: of one period, for all whole periods, and of the rest.
+
+        The mean over a period is that of at least `count` equal steps, which is exact for an
+        amplitude of few periods of the light. The rest has `count` Gauss nodes.
+        """
+        periods = self.frequency_hz * self.exposure_s
+        # Without rounding errors of whole periods.
+        whole = np.floor(periods + 1e-9)
+        rest, steps = max(0.0, periods - whole), max(2, count) if whole else 0
+        nodes, weights = np.polynomial.legendre.leggauss(count if rest > 1e-9 else 1)
+        in_rest = rest * (nodes + 1.0) / 2.0
+        turns = np.concatenate([(np.arange(steps) + 0.5) / max(1, steps), in_rest])
+        shares = np.concatenate([np.full(steps, whole / max(1, steps)), rest * weights / 2.0])
+        phase = 2.0 * np.pi * self.frequency_hz * self.start_s[frames] + self.phase_rad
+        angle = np.asarray(phase)[..., None] + 2.0 * np.pi * turns
+        return ExposureNodes(np.sin(angle), shares / shares.sum())

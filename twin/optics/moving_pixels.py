@@ -115,13 +115,13 @@ class PixelTracer:
         Parameters
         ----------
         frames : (pixel,) number of the frame
-        count : number of nodes
+        count : see `ExposureSequence.nodes`
         """
         nodes = self.sequence.nodes(frames, count)
         paths = self.paths(lanes, nodes.places.T + self.sequence.row_delay * lanes.rows)
-        each = np.tile(np.repeat(frames, lanes.samples), count)
+        each = np.tile(np.repeat(frames, lanes.samples), len(nodes.shares))
         values = np.array(self.light.value(paths.connection(), each), np.float32)
-        shape = count, len(lanes.pixels), lanes.samples
+        shape = len(nodes.shares), len(lanes.pixels), lanes.samples
         return np.asarray(nodes.shares @ values.reshape(shape).mean(axis=2, dtype=np.float64))
 
 
@@ -143,21 +143,29 @@ class SampledPixels:
 
         Parameters
         ----------
-        count : nodes of each exposure
+        count : see `ExposureSequence.nodes`
         """
         frames = np.arange(len(tracer.sequence.start))
         nodes = tracer.sequence.nodes(frames, count)
+        frame_of = np.repeat(frames, len(nodes.shares))
         radiance = np.zeros((len(frames), len(self.lanes.pixels)), np.float32)
         crossed, first = np.zeros(len(self.lanes.pixels), bool), 0
         for lanes in self.lanes.batches(_MOST_VALUES // nodes.places.size):
             part = slice(first, first + len(lanes.pixels))
-            paths = self.paths_of(lanes, nodes.places.ravel())
+            paths = self._paths_at(lanes, nodes.places.ravel())
             crossed[part] = lanes.of_any(paths.crossed)
-            values = _looked_up(tracer.light, paths, np.repeat(frames, count), lanes.samples)
-            by_node = values.reshape(-1, len(frames), count)
+            values = _looked_up(tracer.light, paths, frame_of, lanes.samples)
+            by_node = values.reshape(-1, *nodes.places.shape)
             radiance[:, part] = (by_node @ nodes.shares).T
             first = part.stop
         return radiance, crossed
+
+    def _paths_at(self, lanes: Lanes, places: FloatArray) -> NodePaths:
+        """Return the paths at relative times in any order."""
+        if np.all(np.diff(places) > 0.0):
+            return self.paths_of(lanes, places)
+        ascending, number = np.unique(places, return_inverse=True)
+        return self.paths_of(lanes, ascending).of_nodes(number)
 
 
 def _looked_up(light: FrameLight, paths: NodePaths, frames: IntArray, samples: int) -> FloatImage:

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.arrays import BoolImage, FloatArray, FloatImage
+from reconstruction.arrays import BoolImage, FloatArray, FloatImage, IntArray
 from reconstruction.compiling import NESTED, Function, compile_and_keep, digest_of_sources
 from twin.optics.connection import Connection
 from twin.optics.moving_rig import LanePaths
@@ -55,6 +55,10 @@ class NodePaths:
 
     values: dict[str, FloatImage]
     crossed: BoolImage
+
+    def of_nodes(self, numbers: IntArray) -> "NodePaths":
+        """Return the paths at some nodes."""
+        return NodePaths({name: of[:, numbers] for name, of in self.values.items()}, self.crossed)
 
     def connection(self) -> Connection:
         """Return the paths, ordered by lane and node, as input of the light tables."""
