@@ -143,11 +143,7 @@ def _pose_section(done: ScanRecord) -> Section:
         "scan_poses",
         "Poses over the path",
         "Estimated error of the stage at each patch, with one standard deviation"
-        + (
-            ", and the true error of the twin."
-            if done.registration.true_motion is not None
-            else "."
-        ),
+        + (", and the true error of the twin." if known else "."),
         "Curves of the errors along x and y and of the rotation over the patches.",
         partial(_draw_poses, done),
     )
