@@ -26,10 +26,8 @@ from twin.config import load_experiment
 from twin.config.models import Experiment
 from twin.config.schema import experiment_keys
 from twin.config.sensor_layer import load_sensor_layer
-from twin.config.study import load_study
 from twin.optics.checks import check_renderable
 from twin.optics.frame_times import frame_times_s
-from twin.study.cases import cases_of
 
 _COMMANDS = "test_blocks.py::test_each_command_is_accepted"
 _TUTORIAL = "test_tutorials.py::test_a_tutorial_runs_with_the_printed_output"

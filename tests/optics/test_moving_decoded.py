@@ -79,7 +79,7 @@ def test_binomial_weights_and_an_encoder_remove_the_error(mi):
 
 
 def test_windowed_weights_remove_the_error_of_a_ball_that_moves_across_the_view(mi):
-    """Its shading moves through each pixel. Expected: median error a fifth of that of four steps."""
+    """Its shading changes at each pixel. Expected: median error a fifth of that of four steps."""
     keys = {"motion.x_mm_s": SPEED_MM_S, "motion.z_mm_s": 0.0}
     median_px = {}
     for stepping, steps in (("equal", 4), ("cyclic", 6), ("windowed", 7)):
