@@ -171,11 +171,11 @@ def vibrates_fast(experiment: Experiment) -> bool:
 def _check_vibration(experiment: Experiment) -> None:
     alone = experiment.motion.only_vibrates and experiment.timing.readout == "global"
     if vibrates_fast(experiment) and not alone:
-        found_hz = experiment.motion.vibration.frequency_hz
+        frequency_hz = experiment.motion.vibration.frequency_hz
         raise InputError(
-            f"motion.vibration.frequency_hz: found {found_hz:g}, more than one period during the "
-            "sequence, allowed as the only motion with a global readout; lower it, or remove the "
-            "other motions and set timing.readout = 'global'"
+            f"motion.vibration.frequency_hz: found {frequency_hz:g}, more than one period during "
+            "the sequence, allowed as the only motion with a global readout; lower it, or remove "
+            "the other motions and set timing.readout = 'global'"
         )
 
 

@@ -104,19 +104,19 @@ class VibratingSequence(ExposureSequence):
         return self.middle_s + cast(Places, angle) / (2.0 * np.pi * self.frequency_hz)
 
     def nodes(self, frames: int | IntArray, count: int) -> ExposureNodes:
-        """Return the nodes of exposures: of one period, for all whole periods, and of the rest.
+        """Return nodes of one period, for all whole periods of an exposure, and of the rest.
 
-        The mean over a period is that of at least `count` equal steps, which is exact for an
-        amplitude of few periods of the light. The rest has `count` Gauss nodes.
+        The mean over a period is that of `count` equal steps: its error is the Bessel function of
+        this order of the phase amplitude. The rest has `count` Gauss nodes.
         """
         periods = self.frequency_hz * self.exposure_s
-        # Without rounding errors of whole periods.
+        # Whole periods in spite of rounding errors.
         whole = np.floor(periods + 1e-9)
-        rest, steps = max(0.0, periods - whole), max(2, count) if whole else 0
-        nodes, weights = np.polynomial.legendre.leggauss(count if rest > 1e-9 else 1)
-        in_rest = rest * (nodes + 1.0) / 2.0
-        turns = np.concatenate([(np.arange(steps) + 0.5) / max(1, steps), in_rest])
-        shares = np.concatenate([np.full(steps, whole / max(1, steps)), rest * weights / 2.0])
+        rest, steps = max(0.0, periods - whole), max(2, count)
+        nodes, weights = np.polynomial.legendre.leggauss(count)
+        turns = np.concatenate([(np.arange(steps) + 0.5) / steps, rest * (nodes + 1.0) / 2.0])
+        shares = np.concatenate([np.full(steps, whole / steps), rest * weights / 2.0])
+        turns, shares = turns[shares > 0.0], shares[shares > 0.0]
         phase = 2.0 * np.pi * self.frequency_hz * self.start_s[frames] + self.phase_rad
         angle = np.asarray(phase)[..., None] + 2.0 * np.pi * turns
         return ExposureNodes(np.sin(angle), shares / shares.sum())

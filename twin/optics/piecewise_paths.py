@@ -91,9 +91,9 @@ def traced_where_needed(
             values[name][lane_of, nodes] = getattr(traced, name)
         known[lane_of, nodes] = True
         changed = np.flatnonzero(np.bincount(lane_of, minlength=lanes)).astype(np.int32)
-        found = np.zeros((2, len(changed) * (len(places) // 2)), np.int32)
-        count = _gaps(known, quantities, criteria, changed, found)
-        lane_of, nodes = found[:, :count]
+        middles = np.zeros((2, len(changed) * (len(places) // 2)), np.int32)
+        count = _gaps(known, quantities, criteria, changed, middles)
+        lane_of, nodes = middles[:, :count]
     _fill(known, quantities, criteria, values["axial_mm"], crossed)
     return NodePaths(values, crossed)
 
@@ -138,14 +138,14 @@ class _Criteria(NamedTuple):
 
 
 @_compiled
-def _gaps(known: Any, quantities: Any, criteria: Any, lanes: Any, found: Any) -> int:
+def _gaps(known: Any, quantities: Any, criteria: Any, lanes: Any, middles: Any) -> int:
     """Write lane and node of the middle of all intervals that are not held; return their number.
 
     Parameters
     ----------
     known : (lane, node) True where the lane is traced; true at the first and the last node
     lanes : numbers of the lanes that are searched
-    found : (2, interval) is filled from its start
+    middles : (2, interval) is filled from its start
     """
     count = 0
     for lane in lanes:
@@ -155,7 +155,7 @@ def _gaps(known: Any, quantities: Any, criteria: Any, lanes: Any, found: Any) ->
             behind = _next(known, end, lane)
             nodes = before, start, end, behind
             if end - start > 1 and not _is_held(quantities, criteria, lane, nodes):
-                found[0, count], found[1, count] = lane, (start + end) // 2
+                middles[0, count], middles[1, count] = lane, (start + end) // 2
                 count += 1
             before, start, end = start, end, behind
     return count
