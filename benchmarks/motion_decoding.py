@@ -12,8 +12,8 @@ the phase frames, or at time 0 with an encoder. A plane that moves across the vi
   the phase frames: the figure `motion_predicted_over_actual` of result.json.
 - `compensation_gain`: RMS error of four steps over that of six cyclic steps and that of four steps
   with an encoder, of motion along z; the smallest. Target: 5.
-- `gain_across_encoder`, `gain_across_binomial`: the same of the ball that moves across the view,
-  whose shading and slope change at each pixel.
+- `gain_across_encoder`, `gain_across_binomial`, `gain_across_windowed`: the same of the ball that
+  moves across the view, whose shading and slope change at each pixel; windowed: 7 cyclic frames.
 
 Errors are those of pixels at least `MARGIN_PX` from the edges of the specimen, on slopes below 60
 degrees, modulo the period: a Gray frame at another time may give a wrong order. Last line: these
@@ -35,9 +35,11 @@ FOUR: dict[str, Any] = {"patterns.steps": 4}
 SEQUENCES: dict[str, dict[str, Any]] = {
     "four steps": FOUR,
     "binomial": {"patterns.steps": 6, "patterns.stepping": "cyclic"},
+    "windowed": {"patterns.steps": 7, "patterns.stepping": "windowed"},
     "quarter pairs": {"patterns.steps": 6, "patterns.stepping": "quarter_pairs"},
     "encoder": FOUR | {"motion.encoder": True},
 }
+_ACROSS = ("encoder", "binomial", "windowed")
 MARGIN_PX, LEAST_NORMAL_Z = 6, 0.5
 LEAST_SHARE = 0.05
 
@@ -59,7 +61,7 @@ def decoding_figures(speeds_mm_s: tuple[float, ...]) -> dict[str, float]:
             whole += [] if whole_ratio is None else [whole_ratio]
         of_case = gains_of(specimen, direction, speeds_mm_s[-1])
         if direction == "x_mm_s":
-            across = {f"gain_across_{name}": of_case[name] for name in ("encoder", "binomial")}
+            across = {f"gain_across_{name}": of_case[name] for name in _ACROSS}
         else:
             gains += [of_case["binomial"], of_case["encoder"]]
     return {

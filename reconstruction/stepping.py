@@ -7,6 +7,7 @@ All shifts are in turns. n is the number of the frame, N the number of frames of
 | equal | n / N | least squares of N equal steps |
 | quarter_pairs | k / (N / 2) for n = 2 k, and 1/4 more for n = 2 k + 1 | least squares |
 | cyclic | n / 4 | weighted means of frames of equal shift, see `reduction.binomial` |
+| windowed | n / 4 | the same with other weights, for light that changes |
 | single | 0 | Fourier transform of the image, see `reduction.fourier` |
 """
 
@@ -76,6 +77,13 @@ STEPPINGS = {
         " binomial weights",
         _cyclic,
         least=CYCLE,
+        most=MOST_CYCLIC,
+        is_reduced=True,
+    ),
+    "windowed": Stepping(
+        "cyclic steps with weights that also cancel a linear change of the light",
+        _cyclic,
+        least=CYCLE + 2,
         most=MOST_CYCLIC,
         is_reduced=True,
     ),

@@ -31,7 +31,7 @@ from reconstruction.decoding import Decoded
 from reconstruction.errors import InputError
 from reconstruction.motion.least_squares import fit_fringes
 from reconstruction.patterns import Axis, PatternSet
-from reconstruction.reduction.binomial import binomial_weights
+from reconstruction.reduction.binomial import CYCLIC_WEIGHTS
 from reconstruction.rig.sensor import SensorNoise
 
 TURN = 2.0 * np.pi
@@ -67,9 +67,8 @@ def steps_of(patterns: PatternSet, axis: Axis = "column", fringes: int = 0) -> P
     if not patterns.step_sets(axis) or patterns.stepping == "single":
         raise InputError(f"patterns have no phase steps along axis {axis!r}")
     shifts_rad = TURN * np.array(patterns.shifts(axis, fringes))
-    if patterns.stepping == "cyclic":
-        return PhaseSteps(shifts_rad, binomial_weights(shifts_rad.size))
-    return PhaseSteps(shifts_rad, np.ones(shifts_rad.size))
+    weights = CYCLIC_WEIGHTS.get(patterns.stepping, np.ones)(shifts_rad.size)
+    return PhaseSteps(shifts_rad, weights)
 
 
 @dataclass(frozen=True, eq=False)

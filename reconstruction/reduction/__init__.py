@@ -3,13 +3,13 @@
 | module | stepping |
 |---|---|
 | equivalent | result of a reduction: frames with equal steps, and their noise |
-| binomial | "cyclic": weighted means of the frames of equal shift |
+| binomial | "cyclic" and "windowed": weighted means of the frames of equal shift |
 | fourier | "single": phase of one fringe image by Fourier transform |
 """
 
 from reconstruction.arrays import FloatImage, Stack
 from reconstruction.patterns import PatternSet
-from reconstruction.reduction.binomial import average_cyclic
+from reconstruction.reduction.binomial import CYCLIC_WEIGHTS, average_cyclic
 from reconstruction.reduction.equivalent import Equivalent
 from reconstruction.rig.sensor import SensorNoise
 
@@ -31,7 +31,7 @@ def reduced(
     """
     if not patterns.steps or not patterns.phase_shifts.is_reduced:
         return Equivalent(stack, patterns, float(patterns.steps or 1), is_reduced=False)
-    if patterns.stepping == "cyclic":
+    if patterns.stepping in CYCLIC_WEIGHTS:
         return average_cyclic(stack, patterns, sensor, scale)
     # Imported here: most reconstructions need no Fourier transform.
     from reconstruction.reduction.fourier import transform_single

@@ -11,6 +11,13 @@ With 4 + K frames and a phase that changes by the constant rate e, rad per frame
 the middle of the frames is arg(1 + r exp(-2 i psi)) with r = tan(e / 2)^(K + 1) and psi the phase
 plus the mean shift. K = 0 are four steps, K = 1 is the formula of five steps by Schwider (1983) and
 Hariharan (1987).
+
+Binomial weights cancel a constant mean level, but not one that changes, as shading does that moves
+through a pixel. In Surrel's description ("Design of algorithms for phase measurements by the use of
+phase stepping", Appl. Opt. 35, 51, 1996) the weights are the coefficients of a polynomial, and each
+disturbance is a root of it: that of the mean level and that of the second harmonic have to be
+double for a linear change. The windowed weights are (1 + z^2)^2 (1 + z)^(N - 5) in place of
+(1 + z^2) (1 + z)^(N - 3), with r = tan(e / 2)^(N - 5); those of 7 frames are his triangular window.
 """
 
 from collections.abc import Iterator
@@ -50,6 +57,31 @@ def binomial_weights(frames: int) -> FloatArray:
     return np.asarray(weights)
 
 
+def windowed_weights(frames: int) -> FloatArray:
+    """Return weights (frame,) as `binomial_weights`, which cancel light that changes linearly.
+
+    Parameters
+    ----------
+    frames : number of frames, 6 or more
+
+    Raises
+    ------
+    InputError : there are fewer than six frames
+    """
+    if frames < CYCLE + 2:
+        raise InputError(f"windowed frames: found {frames}; needed are {CYCLE + 2} or more")
+    pair = np.array([1.0, 0.0, 1.0])
+    # The sum of the weights of each shift is 1, as for four frames.
+    weights = np.convolve(pair, pair)
+    for _ in range(frames - CYCLE - 1):
+        weights = 0.5 * np.convolve(weights, [1.0, 1.0])
+    return np.asarray(weights)
+
+
+CYCLIC_WEIGHTS = {"cyclic": binomial_weights, "windowed": windowed_weights}
+"""Functions that return the weights (frame,) of a number of frames, by stepping."""
+
+
 def average_cyclic(
     stack: Stack, patterns: PatternSet, sensor: SensorNoise, scale: FloatImage | None = None
 ) -> Equivalent:
@@ -57,9 +89,9 @@ def average_cyclic(
 
     Parameters
     ----------
-    stack, patterns, sensor, scale : as in `decode`, with the stepping "cyclic"
+    stack, patterns, sensor, scale : as in `decode`, with a stepping of `CYCLIC_WEIGHTS`
     """
-    weights = binomial_weights(patterns.steps)
+    weights = CYCLIC_WEIGHTS[patterns.stepping](patterns.steps)
     averaged = []
     for frames in fringe_sets(stack, patterns):
         four: FloatImage = np.zeros((CYCLE, *frames.shape[1:]), np.float32)
@@ -89,16 +121,16 @@ def cyclic_windows(
     ----------
     frames : (frame, row, col) DN, frame n with the shift of n quarters of the period; one axis
     others : (frame, row, col) DN, frames of the code and uniform frames in the order of `patterns`
-    patterns : sequence with the stepping "cyclic", one axis and one period; its number of steps is
-        the width of the window
+    patterns : sequence with a stepping of `CYCLIC_WEIGHTS`, one axis and one period; its number of
+        steps is the width of the window
 
     Raises
     ------
     InputError : another stepping, several axes or periods, or less frames than steps
     """
     width = patterns.steps
-    if patterns.stepping != "cyclic" or len(patterns.axes) * patterns.sets != 1:
-        raise InputError("cyclic windows need patterns stepping 'cyclic', one axis and one period")
+    if patterns.stepping not in CYCLIC_WEIGHTS or len(patterns.axes) * patterns.sets != 1:
+        raise InputError("cyclic windows need cyclic patterns, one axis and one period")
     if len(frames) < width or len(others) != len(patterns.frames) - width:
         raise InputError(
             f"cyclic windows: found {len(frames)} cyclic and {len(others)} other frames; needed are"

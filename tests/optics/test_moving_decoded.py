@@ -78,6 +78,18 @@ def test_binomial_weights_and_an_encoder_remove_the_error(mi):
     assert plain_px > 5.0 * rms(ripple_px(encoder, 0.0))
 
 
+def test_windowed_weights_remove_the_error_of_a_ball_that_moves_across_the_view(mi):
+    """Its shading changes at each pixel. Expected: median error a fifth of that of four steps."""
+    keys = {"motion.x_mm_s": SPEED_MM_S, "motion.z_mm_s": 0.0}
+    median_px = {}
+    for stepping, steps in (("equal", 4), ("windowed", 7)):
+        shown = {"patterns.steps": steps, "patterns.stepping": stepping}
+        experiment = load_experiment(BALL, SMALL | keys | shown)
+        errors_px = ripple_px(experiment, phase_middle_s(experiment))
+        median_px[stepping] = float(np.median(np.abs(errors_px)))
+    assert median_px["equal"] > 5.0 * median_px["windowed"]
+
+
 @pytest.mark.parametrize(
     ("keys", "least"), [({"motion.z_mm_s": 10.0}, 30.0), ({"motion.x_mm_s": 5.0}, 10.0)]
 )

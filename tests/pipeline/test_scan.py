@@ -1,6 +1,7 @@
 """A scan of measured patches: from folders of `twin reconstruct` to one height map."""
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -57,3 +58,31 @@ def test_an_error_leaves_no_folder(scanned, capsys):
 def test_pages_and_arrays_are_written(scanned):
     names = {path.name for path in (scanned / "out").iterdir()}
     assert {"scan.nc", "scan.ply", "scan.png", "poses.csv", "report.html"} <= names
+
+
+def test_the_page_is_drawn_again_from_the_stored_result(scanned):
+    """Expected: the bytes of the first page, without the patches."""
+    folder = scanned / "again"
+    shutil.copytree(scanned / "out", folder)
+    first = (folder / "report.html").read_bytes()
+    (folder / "report.html").unlink()
+    assert run(["report", str(folder)]) == 0
+    assert (folder / "report.html").read_bytes() == first
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda result: result.pop("registration"), "run twin scan again"),
+        (lambda result: result["registration"]["motion"].pop(), "found 1 motions and 2 sigmas"),
+        (lambda result: result["plan"].update(name=""), "name"),
+        (lambda result: result["metrics"].pop("pitch_mm"), "scan.nc: cannot be read"),
+    ],
+)
+def test_a_damaged_result_is_named(scanned, tmp_path, capsys, change, message):
+    shutil.copytree(scanned / "out", folder := tmp_path / "out")
+    result = json.loads((folder / "result.json").read_text())
+    change(result)
+    (folder / "result.json").write_text(json.dumps(result))
+    assert run(["report", str(folder)]) == 2
+    assert message in capsys.readouterr().err

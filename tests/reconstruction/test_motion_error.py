@@ -29,8 +29,8 @@ def of(steps, stepping="equal"):
 def closed_form(patterns):
     """Return |Q / P| of the module's docstring in closed form, see `phase_rate` and `binomial`."""
     steps = patterns.steps
-    if patterns.stepping == "cyclic":
-        return np.tan(RATE / 2.0) ** (steps - 3)
+    if patterns.stepping in {"cyclic", "windowed"}:
+        return np.tan(RATE / 2.0) ** (steps - (3 if patterns.stepping == "cyclic" else 5))
     if patterns.stepping == "quarter_pairs":
         return np.tan(RATE / 2.0) * np.sin(RATE) / np.sin(4.0 * np.pi / steps + RATE)
     return np.sin(RATE / 2.0) / np.sin(2.0 * np.pi / steps + RATE / 2.0)
@@ -39,7 +39,7 @@ def closed_form(patterns):
 SEQUENCES = [(3,), (4,), (18,), (6, "quarter_pairs"), (36, "quarter_pairs"), (5, "cyclic")]
 
 
-@pytest.mark.parametrize("sequence", [*SEQUENCES, (6, "cyclic"), (8, "cyclic")])
+@pytest.mark.parametrize("sequence", [*SEQUENCES, (6, "cyclic"), (8, "cyclic"), (7, "windowed")])
 def test_predicted_ripple_has_its_closed_form_and_is_that_of_the_decoder(quiet_sensor, sequence):
     """Setup: 0.1 rad per frame, noise-free. Expected: amplitude within 0.02 mrad, no bias."""
     patterns, columns = of(*sequence), ramp(8, 300)
@@ -53,6 +53,39 @@ def test_predicted_ripple_has_its_closed_form_and_is_that_of_the_decoder(quiet_s
     assert np.abs(error_rad).max() == pytest.approx(predicted.ripple_rad, rel=2e-3, abs=2e-5)
     exact = phase_error(columns / PER_RAD, RATE, steps_of(patterns))
     np.testing.assert_allclose(error_rad, exact[decoded.valid], atol=2e-5)
+
+
+@pytest.mark.parametrize("steps", [6, 7, 8, 11])
+def test_windowed_weights_cancel_light_that_changes_linearly(steps):
+    """Roots: sum a_n m_n e^(-i t_n) is 0, as the sum of a_n e^(-i t_n); not with binomial weights.
+
+    Expected: these of docs/physics/phase.md, so that mean and modulation that are linear in time
+    change no phase.
+    """
+    windowed, binomial = (steps_of(of(steps, name)) for name in ("windowed", "cyclic"))
+    for of_steps, expected in ((windowed, 0.0), (binomial, 2.0 ** ((7 - steps) / 2.0))):
+        turned = of_steps.weights * np.exp(-1j * of_steps.shifts_rad)
+        assert abs(turned.sum()) < 1e-12
+        assert abs((turned * of_steps.times).sum()) == pytest.approx(expected, abs=1e-12)
+    for first in range(4):
+        assert windowed.weights[first::4].sum() == pytest.approx(1.0)
+    if steps == 7:
+        np.testing.assert_allclose(windowed.weights * 4.0, [1.0, 2.0, 3.0, 4.0, 3.0, 2.0, 1.0])
+
+
+def test_decoded_windowed_frames_are_free_of_linear_light(quiet_sensor):
+    """Setup: no motion; mean and modulation change by 2 % of the amplitude per frame, 7 frames."""
+    columns, errors_px = ramp(8, 300), {}
+    for stepping in ("windowed", "cyclic"):
+        patterns = of(7, stepping)
+        stack = moving_frames(patterns, columns, 0.0)
+        mean = stack[:7].mean()
+        frame = np.arange(-3.0, 4.0)[:, np.newaxis, np.newaxis]
+        stack[:7] = (stack[:7] - mean) * (1.0 + 0.02 * frame) + mean * (1.0 + 0.02 * frame)
+        decoded = decode(stack, patterns, quiet_sensor, RAW)
+        errors_px[stepping] = np.abs(decoded.column.coordinate_px - columns)[decoded.valid].max()
+    assert errors_px["windowed"] < 5e-4
+    assert errors_px["cyclic"] > 0.01
 
 
 @pytest.mark.parametrize("steps", [3, 4, 18])
@@ -69,7 +102,9 @@ def test_mean_shift_against_the_first_frame():
         assert steps_of(of(steps)).times[0] * RATE == -RATE * (steps - 1) / 2.0
 
 
-@pytest.mark.parametrize("sequence", [(5,), (18,), (8, "quarter_pairs"), (8, "cyclic")])
+@pytest.mark.parametrize(
+    "sequence", [(5,), (18,), (8, "quarter_pairs"), (8, "cyclic"), (8, "windowed")]
+)
 def test_rate_of_each_pixel_from_its_residuals(quiet_sensor, sequence):
     """Setup: rates from -0.1 to 0.1 rad per frame over the image. Expected: rate and error."""
     patterns, columns = of(*sequence), ramp(11, 200)

@@ -125,13 +125,13 @@ def compensate(
 
 @app.command
 def report(folder: Path, /) -> None:
-    """Draw the HTML report of a finished measurement, comparison or uncertainty again.
+    """Draw the HTML report of a finished measurement, comparison, uncertainty or scan again.
 
     Parameters
     ----------
     folder
-        Result folder of `twin measure`, `twin demo`, `twin compare` or `twin uncertainty`; of
-        `twin press` or `twin render`, the picture is drawn.
+        Result folder of `twin measure`, `twin demo`, `twin compare`, `twin uncertainty` or
+        `twin scan`; of `twin press` or `twin render`, the picture is drawn.
     """
     from twin.output import adding, end_exchange
     from twin.report import REPORT_FILE, REPORT_NAMES
@@ -163,6 +163,12 @@ def _drawer(folder: Path) -> "Callable[..., Path]":
         from twin.report.comparison import write_comparison
 
         return write_comparison
+    from twin.pipeline.scan_record import is_scan
+
+    if is_scan(folder):
+        from twin.report.scan import write_scan_page
+
+        return write_scan_page
     from twin.paper.demo import is_demo
 
     if is_demo(folder):

@@ -27,6 +27,6 @@ def scan(plan: Path, /, *, out: Out, report: Report = True) -> None:
         done = run_scan(loaded, out, watch, [plan, *loaded.results])
         if report:
             with adding(out, *REPORT_NAMES) as drawn:
-                write_scan_page(drawn, done, watch)
+                write_scan_page(out, watch, drawn)
     print_metrics(done.figures)
     say(f"wrote {out}")

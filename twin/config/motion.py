@@ -90,6 +90,12 @@ class Motion(Model):
         """Whether the scene moves during the sequence."""
         return self.is_stated and self.time_s is None
 
+    @property
+    def only_vibrates(self) -> bool:
+        """Whether a vibration is the only motion."""
+        rates = (self.x_mm_s, self.y_mm_s, self.z_mm_s, self.twist_deg_s, self.roll_deg_s)
+        return self.vibration.amplitude_um > 0.0 and not any(rates)
+
     def velocity_mm_s(self) -> FloatArray:
         """Return the uniform velocity (xyz), mm/s."""
         return np.array([self.x_mm_s, self.y_mm_s, self.z_mm_s])

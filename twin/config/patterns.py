@@ -36,7 +36,7 @@ class Patterns(Model):
     """Projected patterns: the fields of `PatternSet` that do not follow from the projector."""
 
     period_px: PeriodPx
-    stepping: Literal["equal", "quarter_pairs", "cyclic", "single"] = _of_set(
+    stepping: Literal["equal", "quarter_pairs", "cyclic", "windowed", "single"] = _of_set(
         "stepping", "phase shifts of the steps; other than equal: for scenes in motion"
     )
     steps: Annotated[int, Field(ge=0, le=STEPS_RANGE[1])] = Field(

@@ -115,8 +115,9 @@ def check_motion(experiment: Experiment) -> None:
     Raises
     ------
     InputError : photometric stereo; the stock engine; an automatic exposure, or one that does not
-        fit in its frame; a clear or polished bare specimen; a press that rolls, that slides with
-        friction, that vibrates by more than half a period, or whose travel is not positive
+        fit in its frame; a clear or polished bare specimen; a vibration of more than one period
+        with another motion or a rolling readout; a press that rolls, that slides with friction,
+        that vibrates by more than half a period, or whose travel is not positive
     """
     motion = experiment.motion
     if motion.is_stated and motion.time_s is not None and experiment.method.presses:
@@ -142,6 +143,7 @@ def check_motion(experiment: Experiment) -> None:
         _check_encoder(experiment)
     if not experiment.method.presses:
         _check_matt(bodies(experiment.specimen, 0.0))
+        _check_vibration(experiment)
         return
     for time_s in ends_s:
         experiment_at(experiment, time_s)
@@ -156,6 +158,24 @@ def _check_encoder(experiment: Experiment) -> None:
         raise InputError(
             "motion.encoder: found true, allowed for a bare specimen in air that does not turn, and"
             " patterns.stepping other than 'single'; set it to false"
+        )
+
+
+def vibrates_fast(experiment: Experiment) -> bool:
+    """Return True if a vibration has more than one period during the sequence."""
+    start_s, end_s = sequence_ends_s(experiment)
+    vibration = experiment.motion.vibration
+    return vibration.amplitude_um > 0.0 and vibration.frequency_hz * (end_s - start_s) > 1.0
+
+
+def _check_vibration(experiment: Experiment) -> None:
+    alone = experiment.motion.only_vibrates and experiment.timing.readout == "global"
+    if vibrates_fast(experiment) and not alone:
+        frequency_hz = experiment.motion.vibration.frequency_hz
+        raise InputError(
+            f"motion.vibration.frequency_hz: found {frequency_hz:g}, more than one period during "
+            "the sequence, allowed as the only motion with a global readout; lower it, or remove "
+            "the other motions and set timing.readout = 'global'"
         )
 
 

@@ -270,22 +270,50 @@ class FrameLight:
 
         Parameters
         ----------
-        frames : frame of all paths, or of each; all of them along the same axis. They are data of
-            the kernel: one kernel computes all frames along an axis
+        frames : frame of all paths, or of successive paths, repeated until the last path. They are
+            data of the kernel: one kernel computes all frames along an axis
         """
         numbers = np.atleast_1d(frames)
-        on_columns = self.is_along_columns(numbers[:1])[0]
-        tables = (self._columns, self._rows) if on_columns else (self._rows, self._columns)
-        places = (path.column_px, path.row_px) if on_columns else (path.row_px, path.column_px)
+        along = self.is_along_columns(numbers)
+        columns, rows = self._columns, self._rows
+        if along.all():
+            light = self._in_frames(path, numbers, columns) * self._outline(path, rows)
+        elif not along.any():
+            light = self._in_frames(path, numbers, rows) * self._outline(path, columns)
+        else:
+            on_columns = dr.tile(mi.Bool(along), dr.width(path.weight) // len(along))
+            first, second = (replace(path, lit=path.lit & of) for of in (on_columns, ~on_columns))
+            light = dr.select(
+                on_columns,
+                self._in_frames(first, numbers, columns) * self._outline(first, rows),
+                self._in_frames(second, numbers, rows) * self._outline(second, columns),
+            )
+        return path.weight * light
+
+    def relative(self, path: Connection, frame: int) -> Any:
+        """Return the light of one frame relative to white, without the image's outline across."""
+        numbers = np.atleast_1d(frame)
+        own = self._columns if self.is_along_columns(numbers)[0] else self._rows
+        return self._in_frames(path, numbers, own)
+
+    def outlines(self, path: Connection) -> tuple[Any, Any]:
+        """Return the image's outline across the frames along columns, and across those by row."""
+        return self._outline(path, self._rows), self._outline(path, self._columns)
+
+    def _in_frames(self, path: Connection, frames: IntArray, table: "_LookUpTable") -> Any:
         # The frames of a table ascend. Opaque: a number is no literal of the kernel's code.
-        shown = np.searchsorted(tables[0].frames, numbers).astype(np.uint32)
-        each = mi.UInt32(shown) if len(shown) > 1 else dr.opaque(mi.UInt32, int(shown[0]))
-        last = dr.opaque(mi.UInt32, tables[1].profiles - 1)
-        light, outline = (
-            table.profile_at(profile, place, path.axial_mm, path.lit)
-            for table, place, profile in zip(tables, places, (each, last), strict=True)
-        )
-        return path.weight * light * outline
+        shown = np.searchsorted(table.frames, frames).astype(np.uint32)
+        each = dr.opaque(mi.UInt32, int(shown[0]))
+        if len(shown) > 1:
+            each = dr.tile(mi.UInt32(shown), dr.width(path.weight) // len(shown))
+        return self._profile(path, each, table)
+
+    def _outline(self, path: Connection, table: "_LookUpTable") -> Any:
+        return self._profile(path, dr.opaque(mi.UInt32, table.profiles - 1), table)
+
+    def _profile(self, path: Connection, profile: Any, table: "_LookUpTable") -> Any:
+        place = path.column_px if table is self._columns else path.row_px
+        return table.profile_at(profile, place, path.axial_mm, path.lit)
 
     def is_along_columns(self, frames: IntArray) -> BoolImage:
         """Return True for frames (frame,) in the table of columns: uniform ones, or by column."""

@@ -58,15 +58,17 @@ class MovingFace:
         """Return the smallest and largest distance of the face along the projector's axis."""
         return axial_range_mm(*self.at(time_s))
 
-    def patches_at(self, time_s: float) -> Patches:
-        """Return the traced rays of all pixels at a time."""
-        return trace_patches(*self.at(time_s), self.experiment.render.samples).evaluate()
+    def patches_at(self, time_s: float, samples: int | None = None) -> Patches:
+        """Return the traced rays of all pixels at a time, all samples or a number of them."""
+        return trace_patches(*self.at(time_s), samples or self.experiment.render.samples).evaluate()
 
     def trace(self, rays: TimedRays) -> LanePaths:
         """Return the paths of camera rays, traced at their times; few times are different."""
         samples, paths = self.experiment.render.samples, []
-        times_s = np.unique(rays.time_s)
-        masks: list[BoolImage] = [np.asarray(rays.time_s == time_s) for time_s in times_s]
-        for time_s, mask in zip(times_s, masks, strict=True):
+        rays = rays.of_used_times()
+        masks: list[BoolImage] = [
+            np.asarray(rays.time_of == number) for number in range(len(rays.times_s))
+        ]
+        for time_s, mask in zip(rays.times_s, masks, strict=True):
             paths.append(LanePaths.of(*self.at(float(time_s)), rays.of(mask), samples))
         return LanePaths.merged(paths, masks)

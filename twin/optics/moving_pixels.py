@@ -1,21 +1,19 @@
-"""Light of the three kinds of pixels of a moving scene, see `moving_stack`."""
+"""Light of pixels the samples of which are followed one by one in a moving scene."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from reconstruction.arrays import BoolImage, FloatArray, FloatImage
+from reconstruction.arrays import BoolImage, FloatArray, FloatImage, IntArray
 from twin.optics.connection import FrameLight
-from twin.optics.exposures import ExposureNodes, ExposureSequence
+from twin.optics.exposures import ExposureSequence
 from twin.optics.moving_rig import LanePaths, Pixels, TimedRays
-from twin.optics.piecewise_paths import PiecewisePaths
-from twin.optics.time_paths import TimePaths
+from twin.optics.piecewise_paths import NodePaths, Numbers
 
-MOST_RAYS = 4_000_000
-"""Rays that are traced together: each takes about 60 bytes."""
+_MOST_VALUES = 8_000_000
+"""Nodes times lanes that are computed together: each takes about 60 bytes."""
 
 
 class MovingScene(Protocol):
@@ -27,7 +25,9 @@ class MovingScene(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Lanes:
-    """All samples of selected pixels; the lanes are ordered by sample, then by pixel.
+    """All samples of selected pixels; the lanes are ordered by pixel, then by sample.
+
+    Rays of one pixel are near each other in memory, because they meet the same facets.
 
     Attributes
     ----------
@@ -40,6 +40,9 @@ class Lanes:
     width_px: int
     samples: int
 
+    def __len__(self) -> int:
+        return len(self.pixels) * self.samples
+
     @property
     def rows(self) -> Pixels:
         """Row of the image of every pixel, (pixel,)."""
@@ -49,24 +52,26 @@ class Lanes:
         """Return the lanes of some of the pixels, chosen by a mask (pixel,)."""
         return replace(self, pixels=self.pixels[chosen])
 
-    def each(self, values: FloatArray) -> FloatArray:
-        """Return values of every pixel (..., pixel) as values of every lane, (... x lane,)."""
-        return np.repeat(values[..., None, :], self.samples, axis=-2).ravel()
+    def batches(self, most: int) -> "Iterator[Lanes]":
+        """Yield the lanes of successive pixels, at most `most` lanes or those of one pixel."""
+        count = max(1, most // self.samples)
+        for first in range(0, len(self.pixels), count):
+            yield replace(self, pixels=self.pixels[first : first + count])
 
     def rays(self, times_s: FloatArray) -> TimedRays:
-        """Return the rays at several times (time, pixel), ordered by time, sample, pixel."""
-        shape = len(times_s), self.samples, len(self.pixels)
-        sample = np.arange(self.samples, dtype=np.uint32)[:, None]
-        return TimedRays(
-            np.broadcast_to(self.pixels, shape).ravel(),
-            np.broadcast_to(sample, shape).ravel(),
-            self.each(times_s),
-        )
+        """Return all rays at several times (time, pixel), ordered by time and lane."""
+        distinct, number = np.unique(times_s, return_inverse=True)
+        lane = np.tile(np.arange(len(self), dtype=np.int32), len(times_s))
+        return self.rays_of(lane, distinct, np.repeat(number.ravel(), self.samples))
 
-    def means(self, values: FloatImage, times: int = 1) -> FloatArray:
-        """Return the means over the samples, (time, pixel), of values ordered as `rays`."""
-        shape = times, self.samples, len(self.pixels)
-        return np.asarray(values.reshape(shape).mean(axis=1, dtype=np.float64))
+    def rays_of(self, lane: Numbers, times_s: FloatArray, time_of: IntArray | Numbers) -> TimedRays:
+        """Return rays of lanes, each at one of several times (time,)."""
+        pixel, sample = np.divmod(lane, np.int32(self.samples))
+        return TimedRays(self.pixels[pixel], sample.astype(np.uint32), times_s, time_of)
+
+    def of_any(self, mask: BoolImage) -> BoolImage:
+        """Return True for pixels (pixel,) with a lane in a mask (lane,)."""
+        return np.asarray(mask.reshape(-1, self.samples).any(axis=1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,137 +89,86 @@ class PixelTracer:
     sequence: ExposureSequence
     light: FrameLight
 
-    def places(self, lanes: Lanes, nodes: ExposureNodes) -> FloatArray:
-        """Return the relative times (node, pixel) of the nodes of an exposure."""
-        return np.asarray(nodes.places[:, None] + self.sequence.row_delay * lanes.rows)
-
     def paths(self, lanes: Lanes, places: FloatArray) -> LanePaths:
-        """Return the paths of lanes at relative times (time, pixel)."""
+        """Return the paths of lanes at relative times (time, pixel), ordered by time and lane."""
         return self.scene.trace(lanes.rays(self.sequence.time_s(places)))
 
-    def traced(self, jobs: list[tuple[int, Lanes]], count: int) -> list[FloatArray]:
-        """Return the radiance (pixel,) of pixels in frames, traced at `count` times of each."""
+    def tracer_of_nodes(
+        self, lanes: Lanes, places: FloatArray
+    ) -> Callable[[Numbers, Numbers], LanePaths]:
+        """Return a function that traces lanes at nodes with these relative times in row 0."""
+        delay, rows = self.sequence.row_delay, np.zeros(len(lanes.pixels), np.int32)
+        if delay:
+            rows = lanes.rows.astype(np.int32)
+        count = int(rows.max(initial=0)) + 1
+        times_s = self.sequence.time_s(places[:, None] + delay * np.arange(count)).ravel()
 
-        def traced_paths(chosen: list[tuple[int, Lanes]]) -> LanePaths:
-            rays = [
-                lanes.rays(
-                    self.sequence.time_s(self.places(lanes, self.sequence.nodes(frame, count)))
-                )
-                for frame, lanes in chosen
-            ]
-            parts = ("pixels", "sample", "time_s")
-            together = (np.concatenate([getattr(ray, part) for ray in rays]) for part in parts)
-            return self.scene.trace(TimedRays(*together))
+        def trace(node: Numbers, lane: Numbers) -> LanePaths:
+            time_of = node * np.int32(count) + rows[lane // lanes.samples]
+            return self.scene.trace(lanes.rays_of(lane, times_s, time_of))
 
-        return self.integrated(jobs, count, traced_paths)
+        return trace
 
-    def integrated(
-        self,
-        jobs: list[tuple[int, Lanes]],
-        count: int,
-        paths_of: Callable[[list[tuple[int, Lanes]]], LanePaths],
-    ) -> list[FloatArray]:
-        """Return the radiance (pixel,) of pixels in frames, integrated over each exposure.
+    def radiance(self, lanes: Lanes, frames: IntArray, count: int) -> FloatArray:
+        """Return the radiance (pixel,) of each pixel in one frame of its own, traced at its nodes.
 
         Parameters
         ----------
-        jobs : number of each frame, and its pixels
-        count : nodes of each exposure
-        paths_of : returns the paths of some jobs, ordered by job, node, sample, pixel
+        frames : (pixel,) number of the frame
+        count : see `ExposureSequence.nodes`
         """
-        radiance = []
-        for chosen in _batches(jobs, count):
-            sizes = [count * lanes.samples * len(lanes.pixels) for _, lanes in chosen]
-            frames = np.repeat([frame for frame, _ in chosen], sizes)
-            values = self._looked_up(paths_of(chosen), frames)
-            ends = np.cumsum(sizes)[:-1]
-            for (frame, lanes), part in zip(chosen, np.split(values, ends), strict=True):
-                shares = self.sequence.nodes(frame, count).shares
-                radiance.append(shares @ lanes.means(part, count))
-        return radiance
-
-    def _looked_up(self, paths: LanePaths, frames: NDArray[np.int64]) -> FloatImage:
-        values = np.zeros(len(frames), np.float32)
-        along = self.light.is_along_columns(frames)
-        for chosen in (along, ~along):
-            if chosen.any():
-                light = self.light.value(paths.of_lanes(chosen).connection(), frames[chosen])
-                values[chosen] = np.array(light, np.float32)
-        return values
-
-
-def _batches(jobs: list[tuple[int, Lanes]], count: int) -> Iterator[list[tuple[int, Lanes]]]:
-    """Yield jobs in groups of at most `MOST_RAYS` rays, or of one job."""
-    group: list[tuple[int, Lanes]] = []
-    rays = 0
-    for frame, lanes in jobs:
-        size = count * lanes.samples * len(lanes.pixels)
-        if group and rays + size > MOST_RAYS:
-            yield group
-            group, rays = [], 0
-        group.append((frame, lanes))
-        rays += size
-    if group:
-        yield group
-
-
-@dataclass(frozen=True, eq=False)
-class CrossedPixels:
-    """Pixels that cross an edge: linear in time between crossings, traced near them.
-
-    Attributes
-    ----------
-    lanes : the samples of the pixels
-    pieces : their paths between the crossings
-    """
-
-    lanes: Lanes
-    pieces: PiecewisePaths
-
-    def radiance(self, tracer: PixelTracer, frames: int, count: int) -> list[FloatArray]:
-        """Return the radiance (pixel,) of every frame, at `count` nodes of each exposure."""
-        places = [tracer.places(self.lanes, tracer.sequence.nodes(k, count)) for k in range(frames)]
-        held = [self._held(at) for at in places]
-        between = [(k, self.lanes.of(mask)) for k, mask in enumerate(held)]
-
-        def interpolated(chosen: list[tuple[int, Lanes]]) -> LanePaths:
-            numbers = [k for k, _ in chosen]
-            lane_of = [np.flatnonzero(np.tile(held[k], self.lanes.samples)) for k in numbers]
-            at = [self.lanes.of(held[k]).each(places[k][:, held[k]]) for k in numbers]
-            lanes = np.concatenate([np.tile(lane, count) for lane in lane_of])
-            return self.pieces.at(np.concatenate(at), lanes)
-
-        smooth = tracer.integrated(between, count, interpolated)
-        near = [(k, self.lanes.of(~mask)) for k, mask in enumerate(held)]
-        edges = tracer.traced(near, count)
-        images = []
-        for mask, inside, outside in zip(held, smooth, edges, strict=True):
-            light = np.zeros(len(mask))
-            light[mask], light[~mask] = inside, outside
-            images.append(light)
-        return images
-
-    def _held(self, places: FloatArray) -> BoolImage:
-        """Return True for pixels (pixel,) without a sample near a crossing.
-
-        Parameters
-        ----------
-        places : relative times (node, pixel)
-        """
-        samples = self.lanes.samples
-        lanes = np.repeat(places[:, None, :], samples, axis=1).reshape(len(places), -1)
-        held = self.pieces.held_at(lanes).reshape(len(places), samples, -1)
-        return np.asarray(held.all(axis=(0, 1)))
+        nodes = self.sequence.nodes(frames, count)
+        paths = self.paths(lanes, nodes.places.T + self.sequence.row_delay * lanes.rows)
+        each = np.tile(np.repeat(frames, lanes.samples), len(nodes.shares))
+        values = np.array(self.light.value(paths.connection(), each), np.float32)
+        shape = len(nodes.shares), len(lanes.pixels), lanes.samples
+        return np.asarray(nodes.shares @ values.reshape(shape).mean(axis=2, dtype=np.float64))
 
 
 @dataclass(frozen=True, eq=False)
 class SampledPixels:
-    """Pixels each sample of which is a polynomial of time."""
+    """Pixels of which each sample has its own paths.
+
+    Attributes
+    ----------
+    lanes : the samples of the pixels
+    paths_of : returns the paths of lanes at nodes with relative times (node,) in row 0
+    """
 
     lanes: Lanes
-    paths: TimePaths
+    paths_of: Callable[[Lanes, FloatArray], NodePaths]
 
-    def radiance(self, tracer: PixelTracer, frame: int, nodes: ExposureNodes) -> FloatArray:
-        """Return the radiance (pixel,) of one frame."""
-        values = self.paths.light(tracer.light, frame, nodes, tracer.sequence.row_delay)
-        return np.asarray(self.lanes.means(values)[0])
+    def radiance(self, tracer: PixelTracer, count: int) -> tuple[FloatImage, BoolImage]:
+        """Return the radiance (frame, pixel), and True for pixels (pixel,) that cross an edge.
+
+        Parameters
+        ----------
+        count : see `ExposureSequence.nodes`
+        """
+        frames = np.arange(len(tracer.sequence.start))
+        nodes = tracer.sequence.nodes(frames, count)
+        frame_of = np.repeat(frames, len(nodes.shares))
+        radiance = np.zeros((len(frames), len(self.lanes.pixels)), np.float32)
+        crossed, first = np.zeros(len(self.lanes.pixels), bool), 0
+        for lanes in self.lanes.batches(_MOST_VALUES // nodes.places.size):
+            part = slice(first, first + len(lanes.pixels))
+            paths = self._paths_at(lanes, nodes.places.ravel())
+            crossed[part] = lanes.of_any(paths.crossed)
+            values = _looked_up(tracer.light, paths, frame_of, lanes.samples)
+            by_node = values.reshape(-1, *nodes.places.shape)
+            radiance[:, part] = (by_node @ nodes.shares).T
+            first = part.stop
+        return radiance, crossed
+
+    def _paths_at(self, lanes: Lanes, places: FloatArray) -> NodePaths:
+        """Return the paths at relative times in any order."""
+        if np.all(np.diff(places) > 0.0):
+            return self.paths_of(lanes, places)
+        ascending, number = np.unique(places, return_inverse=True)
+        return self.paths_of(lanes, ascending).of_nodes(number)
+
+
+def _looked_up(light: FrameLight, paths: NodePaths, frames: IntArray, samples: int) -> FloatImage:
+    """Return the radiance (pixel, node) of pixels in the frame of each node (node,)."""
+    lanes = np.array(light.value(paths.connection(), frames), np.float32)
+    return np.asarray(lanes.reshape(-1, samples, len(frames)).mean(axis=1))

@@ -82,22 +82,32 @@ def moving_rig(rig: Rig, displacements: FloatArray, pose_of_lane: Any) -> Rig:
 
 @dataclass(frozen=True, eq=False)
 class TimedRays:
-    """Camera rays, each with its own time; all arrays are (lane,).
+    """Camera rays, each with its own time.
 
     Attributes
     ----------
-    pixels : numbers of the pixels, row by row
-    sample : number of the sample in its pixel
-    time_s : time after the middle of the sequence
+    pixels : (lane,) numbers of the pixels, row by row
+    sample : (lane,) number of the sample in its pixel
+    times_s : (time,) times after time 0 of the sequence
+    time_of : (lane,) number of the time of each ray
     """
 
     pixels: Pixels
     sample: Pixels
-    time_s: FloatArray
+    times_s: FloatArray
+    time_of: NDArray[np.integer[Any]]
 
     def of(self, chosen: BoolImage) -> "TimedRays":
         """Return some of the rays."""
-        return TimedRays(self.pixels[chosen], self.sample[chosen], self.time_s[chosen])
+        return TimedRays(
+            self.pixels[chosen], self.sample[chosen], self.times_s, self.time_of[chosen]
+        )
+
+    def of_used_times(self) -> "TimedRays":
+        """Return the same rays without the times that no ray has."""
+        is_used = np.bincount(self.time_of, minlength=len(self.times_s)) > 0
+        number = np.cumsum(is_used) - 1
+        return replace(self, times_s=self.times_s[is_used], time_of=number[self.time_of])
 
     def rays(self, rig: Rig, samples: int) -> Any:
         """Return the rays, `mi.Ray3f`, of a rig with so many samples per pixel."""

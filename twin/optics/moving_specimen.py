@@ -50,15 +50,15 @@ class MovingSpecimen:
         moved = replace(projector, T_world_from_device=pose)
         return axial_range_mm(self.scene, replace(self.rig, projector=moved))
 
-    def patches_at(self, time_s: float) -> Patches:
-        """Return the traced rays of all pixels at a time."""
-        return trace_patches(self.scene, self.rig_at(time_s), self.samples).evaluate()
+    def patches_at(self, time_s: float, samples: int | None = None) -> Patches:
+        """Return the traced rays of all pixels at a time, all samples or a number of them."""
+        return trace_patches(self.scene, self.rig_at(time_s), samples or self.samples).evaluate()
 
     def trace(self, rays: TimedRays) -> LanePaths:
         """Return the paths of camera rays, each traced at its own time."""
-        times_s, pose_of_lane = np.unique(rays.time_s, return_inverse=True)
-        poses = np.array([self.motion.pose_at(time_s) for time_s in times_s]).reshape(-1, 4, 4)
-        rig = moving_rig(self.rig, poses, mi.UInt32(pose_of_lane.astype(np.uint32)))
+        rays = rays.of_used_times()
+        poses = np.array([self.motion.pose_at(time_s) for time_s in rays.times_s]).reshape(-1, 4, 4)
+        rig = moving_rig(self.rig, poses, mi.UInt32(rays.time_of.astype(np.uint32)))
         return LanePaths.of(self.scene, rig, rays, self.samples)
 
     def between_surfaces(

@@ -7,9 +7,11 @@ coefficients of a smooth function decrease. Of a ray that crosses an edge they d
 Times are relative: -1 at the start of the sequence, 1 at its end.
 """
 
+import functools
+import operator
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import drjit as dr
 import mitsuba as mi
@@ -17,10 +19,11 @@ import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
-from reconstruction.arrays import BoolImage, FloatArray, FloatImage
+from reconstruction.arrays import FloatArray, FloatImage
 from twin.optics.connection import Connection, FrameLight
 from twin.optics.exposures import ExposureNodes
-from twin.optics.moving_rig import LanePaths
+
+Values = TypeVar("Values", bound=Any)
 
 MOMENTS = (3, 5, 9)
 """Numbers of moments, from which the renderer chooses."""
@@ -28,6 +31,7 @@ MOMENTS = (3, 5, 9)
 COORDINATE_PX = 0.01
 """Largest last coefficient of a projector coordinate, px; that of a further moment is smaller."""
 
+_WEIGHTS = ("on_columns", "on_rows")
 WEIGHT_SHARE = 0.005
 """Largest last coefficient of a weight, relative to the mean weight of all lit rays."""
 
@@ -37,28 +41,60 @@ def moment_places(count: int) -> FloatArray:
     return np.asarray(-np.cos(np.pi * np.arange(count) / (count - 1)))
 
 
-def coefficients(values: Sequence[FloatImage]) -> FloatArray:
-    """Return the Chebyshev coefficients (order, lane) of values at all moments, each (lane,)."""
-    places = moment_places(len(values))
-    matrix = np.linalg.inv(chebyshev.chebvander(places, len(values) - 1))
-    return np.asarray(matrix @ np.asarray(values, np.float64))
-
-
-def smooth_lanes(moments: Sequence[LanePaths], white: float) -> BoolImage:
-    """Return True for the lanes (lane,) that are dark at all moments, or polynomials of time.
+def coefficients(values: Sequence[Values]) -> list[Values]:
+    """Return the Chebyshev coefficients, by order, of values at all moments.
 
     Parameters
     ----------
-    white : mean weight of all lit rays
+    values : by moment; an array of numpy or of Dr.Jit each
     """
-    weights = np.asarray([moment.weight for moment in moments])
-    always, never = (weights > 0.0).all(axis=0), (weights == 0.0).all(axis=0)
-    last = [
-        np.abs(coefficients([getattr(moment, name) for moment in moments])[-1])
-        for name in ("column_px", "row_px", "weight")
-    ]
-    close = (last[0] <= COORDINATE_PX) & (last[1] <= COORDINATE_PX)
-    return np.asarray(never | (always & close & (last[2] <= WEIGHT_SHARE * white)))
+    middle = values[len(values) // 2]
+    # Differences have smaller rounding errors than the values, and the same other coefficients.
+    changes = [value - middle for value in values]
+    matrix = np.asarray(np.linalg.inv(_chebyshev_at(moment_places(len(values)))), np.float64)
+    constant, *others = _products(matrix, changes)
+    return [constant + middle, *others]
+
+
+def polynomial_at(values: FloatImage, places: FloatArray) -> FloatArray:
+    """Return the polynomial through values (moment, lane) at relative times, (place, lane)."""
+    from_chebyshev = chebyshev.chebvander(places, len(values) - 1)
+    return np.asarray(from_chebyshev @ np.array(coefficients(list(values))))
+
+
+def _chebyshev_at(places: FloatArray) -> FloatArray:
+    return np.asarray(chebyshev.chebvander(places, len(places) - 1))
+
+
+def _products(matrix: FloatArray, values: Sequence[Values]) -> list[Values]:
+    """Return the product of a matrix with a column of arrays."""
+    rows = (zip(row.tolist(), values, strict=True) for row in matrix)
+    return [functools.reduce(operator.add, (factor * of for factor, of in row)) for row in rows]
+
+
+@dataclass(frozen=True, eq=False)
+class LitMoment:
+    """Lanes at one moment; the light ends at the outline of the projector's image.
+
+    Attributes
+    ----------
+    path : projector coordinate and weight
+    on_columns, on_rows : weight times the image's outline across the frames along columns, and
+        across those along rows
+    """
+
+    path: Connection
+    on_columns: Any
+    on_rows: Any
+
+    @classmethod
+    def of(cls, path: Connection, light: FrameLight) -> "LitMoment":
+        """Return lanes in the light of the projector."""
+        return cls(path, *(path.weight * outline for outline in light.outlines(path)))
+
+    def quantity(self, name: str) -> Any:
+        """Return a quantity by its name in this class or in `Connection`."""
+        return getattr(self if name.startswith("on_") else self.path, name)
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +103,7 @@ class TimePaths:
 
     Attributes
     ----------
-    powers : by quantity of a connection, the coefficients of all powers of time, each (lane,)
+    powers : by quantity of a `LitMoment`, the coefficients of all powers of time, each (lane,)
     row : row of the image of each lane
     """
 
@@ -75,35 +111,23 @@ class TimePaths:
     row: Any
 
     @classmethod
-    def through(
-        cls, moments: Sequence[LanePaths], rows: NDArray[Any], *, defocused: bool
-    ) -> "TimePaths":
+    def through(cls, moments: Sequence[LitMoment], lit: Any, rows: NDArray[Any]) -> "TimePaths":
         """Return the polynomials through lanes at all moments.
 
         Parameters
         ----------
+        lit : `mi.Bool`; lanes that have light, the others are dark
         rows : row of the image of each lane
-        defocused : True if the light depends on the axial distance
         """
-        names = ["column_px", "row_px", "weight", *(["axial_mm"] if defocused else [])]
         to_powers = _powers_of_chebyshev(len(moments))
         powers = {
-            name: [
-                mi.Float(values.astype(np.float32))
-                for values in to_powers @ coefficients([getattr(m, name) for m in moments])
-            ]
-            for name in names
+            name: _products(to_powers, coefficients([m.quantity(name) for m in moments]))
+            for name in ("column_px", "row_px", "axial_mm", *_WEIGHTS)
         }
+        for name in _WEIGHTS:
+            powers[name] = [dr.select(lit, power, 0.0) for power in powers[name]]
+        dr.eval(powers)
         return cls(powers, mi.Float(np.asarray(rows, np.float32)))
-
-    def at(self, place: Any) -> Connection:
-        """Return the connections at a relative time of each lane."""
-        column, row, weight = (
-            _polynomial(self.powers[name], place) for name in ("column_px", "row_px", "weight")
-        )
-        axial = self.powers.get("axial_mm")
-        axial_mm = mi.Float(1.0) if axial is None else _polynomial(axial, place)
-        return Connection(column, row, weight, weight > 0.0, axial_mm)
 
     def light(
         self, light: FrameLight, frame: int, nodes: ExposureNodes, row_delay: float
@@ -116,12 +140,22 @@ class TimePaths:
         nodes : relative times of the exposure in row 0
         row_delay : relative time from one row to the next
         """
+        weight = _WEIGHTS[0 if light.is_along_columns(np.array([frame]))[0] else 1]
         delay, total = dr.opaque(mi.Float, row_delay), mi.Float(0.0)
         for place, share in zip(nodes.places, nodes.shares, strict=True):
             start = dr.opaque(mi.Float, float(place))
-            path = self.at(dr.fma(self.row, delay, start))
-            total = dr.fma(light.value(path, frame), float(share), total)
+            path = self._at(dr.fma(self.row, delay, start), weight)
+            value = path.weight * light.relative(path, frame)
+            total = dr.fma(value, float(share), total)
         return np.array(total, np.float32)
+
+    def _at(self, place: Any, weight: str) -> Connection:
+        """Return the connections at a relative time of each lane, with one of the weights."""
+        column, row, axial, lit = (
+            _polynomial(self.powers[name], place)
+            for name in ("column_px", "row_px", "axial_mm", weight)
+        )
+        return Connection(column, row, lit, lit > 0.0, axial)
 
 
 def _powers_of_chebyshev(count: int) -> FloatArray:

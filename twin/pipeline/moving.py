@@ -12,8 +12,9 @@ import numpy as np
 from twin.config.digest import seed_sequence
 from twin.config.models import Experiment
 from twin.config.motion import Motion
+from twin.optics.checks import vibrates_fast
 from twin.optics.connection import FrameLight
-from twin.optics.exposures import ExposureSequence
+from twin.optics.exposures import ExposureSequence, VibratingSequence
 from twin.optics.frame_times import frame_times_s, row_delay_s, sequence_ends_s
 from twin.optics.light import LightTable
 from twin.optics.moving_face import MovingFace
@@ -36,8 +37,10 @@ def exposures_of(experiment: Experiment) -> ExposureSequence:
     ------
     InputError : the exposure is automatic, or does not fit in the period of its frame
     """
-    ends_s = sequence_ends_s(experiment)
-    return ExposureSequence.of(frame_times_s(experiment), ends_s, row_delay_s(experiment))
+    times = frame_times_s(experiment)
+    if vibrates_fast(experiment):
+        return VibratingSequence.vibrating(times, experiment.motion.vibration)
+    return ExposureSequence.of(times, sequence_ends_s(experiment), row_delay_s(experiment))
 
 
 @renderer_session()

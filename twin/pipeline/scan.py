@@ -45,12 +45,13 @@ from twin.output import (
 from twin.pipeline.memory import Memory
 from twin.pipeline.methods import measure_into
 from twin.pipeline.progress import ProgressCallback, no_progress
+from twin.pipeline.scan_record import COMMAND, MAP_FILE, StoredRegistration
 from twin.results.parts import read_truth
 
-COMMAND, TRUTH_FILE = "scan", "truth.nc"
+TRUTH_FILE = "truth.nc"
 _FILES = (
     RESULT_FILE,
-    "scan.nc",
+    MAP_FILE,
     "scan.ply",
     "scan.png",
     "height_map.nc",
@@ -313,7 +314,7 @@ def _patch_errors(patches: Sequence[PointMap], truths: Sequence[Truth]) -> dict[
 def _write(out: Path, done: Scanned) -> None:
     fused = done.fused
     with adding(out, *_FILES) as folder:
-        write_arrays(folder / "scan.nc", map_arrays(fused))
+        write_arrays(folder / MAP_FILE, map_arrays(fused))
         shown = {
             "sigma_z_mm": fused.sigma_mm[fused.valid].astype(np.float32),
             "patches": fused.patches[fused.valid].astype(np.int32),
@@ -326,7 +327,15 @@ def _write(out: Path, done: Scanned) -> None:
         write_heights(folder, grid)
         write_bytes(folder / "scan.png", _drawing_of(fused).png())
         write_text(folder / "poses.csv", _poses_csv(done))
-        table = {"command": COMMAND, "metrics": done.figures, "versions": versions()}
+        table = {
+            "command": COMMAND,
+            "metrics": done.figures,
+            "plan": done.plan.model_dump(mode="json", exclude_none=True),
+            "registration": StoredRegistration.of(done.registration, done.true_motion).model_dump(
+                mode="json"
+            ),
+            "versions": versions(),
+        }
         write_json(folder / RESULT_FILE, table)
 
 

@@ -1,14 +1,16 @@
 """Report of a scan: fused map, seams, drift over the path, poses with standard deviations."""
 
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from reconstruction.arrays import FloatArray
 from reconstruction.scan.registration import AXES, Overlap
 from twin.pipeline.progress import ProgressCallback, no_progress
-from twin.pipeline.scan import Scanned
+from twin.pipeline.scan_record import ScanRecord, read_scan
 from twin.report.canvas import FIT, MEASURED, axes_at, chart, draw_map, drawing, legend_above
 from twin.report.page import REPORT_FILE, STAGE, Block, Figure, Page, Section, write_page
 from twin.report.table import Column, Row, Table
@@ -16,18 +18,25 @@ from twin.report.table import Column, Row, Table
 _SIDE_IN = 6.2
 
 
-def write_scan_page(folder: Path, done: Scanned, watch: ProgressCallback = no_progress) -> Path:
-    """Write `report.html` and its figures into an existing folder; return the page's path.
+def write_scan_page(
+    folder: Path, watch: ProgressCallback = no_progress, into: Path | None = None
+) -> Path:
+    """Write `report.html` and its figures of a finished scan; return the page's path.
+
+    Parameters
+    ----------
+    folder : result folder of the scan
+    into : existing folder of the page; None: that of the scan
 
     Raises
     ------
-    InputError : the page cannot be written
+    InputError : the scan cannot be read, or the page cannot be written
     """
     watch(STAGE, 0.0)
-    return write_page(folder / REPORT_FILE, _page(done), watch)
+    return write_page((into or folder) / REPORT_FILE, _page(read_scan(folder)), watch)
 
 
-def _page(done: Scanned) -> Page:
+def _page(done: ScanRecord) -> Page:
     figures, axes = done.figures, sorted({free.axis for free in done.registration.free})
     warnings = [
         f"the overlaps determine {axis} of patches "
@@ -47,11 +56,11 @@ def _page(done: Scanned) -> Page:
     )
 
 
-def _patches_with(done: Scanned, axis: str) -> list[int]:
+def _patches_with(done: ScanRecord, axis: str) -> list[int]:
     return sorted({free.patch for free in done.registration.free if free.axis == axis})
 
 
-def _map_section(done: Scanned) -> Section:
+def _map_section(done: ScanRecord) -> Section:
     rows = tuple(
         {"name": name.replace("_", " "), "value": value} for name, value in done.figures.items()
     )
@@ -69,7 +78,7 @@ def _map_section(done: Scanned) -> Section:
     return Section("map", "Map", blocks)
 
 
-def _draw_maps(done: Scanned, path: Path) -> None:
+def _draw_maps(done: ScanRecord, path: Path) -> None:
     fused, half = done.fused, 0.5 * done.fused.pitch_mm
     extent = (
         float(fused.x_mm[0] - half),
@@ -92,7 +101,7 @@ def _draw_maps(done: Scanned, path: Path) -> None:
             draw_map(axes, shown[::-1], extent, title, label, ends=(ends[0], ends[1]))
 
 
-def _seam_section(done: Scanned) -> Section:
+def _seam_section(done: ScanRecord) -> Section:
     columns = (
         Column("pair", "patches"),
         Column("elements", "compared elements"),
@@ -118,27 +127,34 @@ def _seam_row(overlap: Overlap) -> Row:
     }
 
 
-def _pose_section(done: Scanned) -> Section:
-    drift, sigma = 1e3 * done.registration.drift_mm, 1e3 * done.registration.drift_sigma_mm
+def _scaled(values: Sequence[Any]) -> FloatArray:
+    """Return mm and rad as um and mrad."""
+    return 1e3 * np.asarray(values, np.float64)
+
+
+def _pose_section(done: ScanRecord) -> Section:
+    drift, sigma = _scaled(done.registration.drift_mm), _scaled(done.registration.drift_sigma_mm)
     text = (
         f"Drift over the path: {drift[0]:.1f} ± {sigma[0]:.1f} µm along x, {drift[1]:.1f} ± "
         f"{sigma[1]:.1f} µm along y (one standard deviation)."
     )
+    known = done.registration.true_motion is not None
     figure = Figure(
         "scan_poses",
         "Poses over the path",
         "Estimated error of the stage at each patch, with one standard deviation"
-        + (", and the true error of the twin." if done.true_motion is not None else "."),
+        + (", and the true error of the twin." if known else "."),
         "Curves of the errors along x and y and of the rotation over the patches.",
         partial(_draw_poses, done),
     )
     return Section("poses", "Drift and poses", (text, figure, _pose_table(done)))
 
 
-def _draw_poses(done: Scanned, path: Path) -> None:
-    moves, sigma = 1e3 * done.registration.motion, 1e3 * done.registration.sigma
+def _draw_poses(done: ScanRecord, path: Path) -> None:
+    moves, sigma = _scaled(done.registration.motion), _scaled(done.registration.sigma)
     moving = [k for k in range(6) if sigma[:, k].any()]
     number = np.arange(1, len(moves) + 1)
+    true_motion = done.registration.true_motion
     with drawing(path, _SIDE_IN + 1.2, 1.9 * len(moving) + 0.3) as figure:
         for at, k in enumerate(moving):
             axes = axes_at(figure, 0.8, 0.4 + 1.9 * at, _SIDE_IN, 1.2)
@@ -146,16 +162,16 @@ def _draw_poses(done: Scanned, path: Path) -> None:
             axes.errorbar(
                 number, moves[:, k], sigma[:, k], fmt="o", color=MEASURED, label="estimated"
             )
-            if done.true_motion is not None:
-                axes.plot(number, 1e3 * done.true_motion[:, k], "x", color=FIT, label="true")
+            if true_motion is not None:
+                axes.plot(number, _scaled(true_motion)[:, k], "x", color=FIT, label="true")
             chart(axes, "", "patch" if at == len(moving) - 1 else "", f"{AXES[k]} ({label})")
             axes.set_xticks(number)
             if at == 0:
                 legend_above(axes, 2)
 
 
-def _pose_table(done: Scanned) -> Table:
-    moves, sigma = 1e3 * done.registration.motion, 1e3 * done.registration.sigma
+def _pose_table(done: ScanRecord) -> Table:
+    moves, sigma = _scaled(done.registration.motion), _scaled(done.registration.sigma)
     columns = [
         Column("patch", "patch"),
         Column("x", "x", 3, "mm"),
