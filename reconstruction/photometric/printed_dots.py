@@ -161,8 +161,8 @@ class GelMotion:
             self.places_mm[tracked], self.moved_mm[tracked], self.sigma_mm[tracked]
         )
         rows, cols = (np.arange(_EVERY // 2, size, _EVERY) for size in self.shape)
-        places = np.stack(np.meshgrid(rows, cols, indexing="ij"), axis=-1).reshape(-1, 2)
-        places = places.astype(np.float64)
+        grid = np.stack(np.meshgrid(rows, cols, indexing="ij"), axis=-1)
+        places = grid.reshape(-1, 2).astype(np.float64)
         on_gel = _on_gel_mm(places, self.shape, self.pitch_mm)
         if self.rest is not None:
             on_gel = _interpolated(self.rest.points_mm[..., :2], places)
