@@ -1,15 +1,24 @@
-"""Undeformed coat of a domed pad from CAD under a photometric sensor."""
+"""A domed pad from CAD under a photometric sensor: undeformed, and pressed by a ball."""
 
 import numpy as np
 import pytest
 
 from reconstruction.errors import InputError
+from reconstruction.evaluate.fit import fit_sphere
 from twin.config import load_experiment
+from twin.mechanics import PressedElastomer
+from twin.mechanics.layouts import cell_centres, face_nodes
+from twin.mechanics.models.fem import FemModel
+from twin.mechanics.validity import contact_validity
 from twin.optics.colour_trace import ColourScene
+from twin.pipeline import measure
+from twin.pipeline.memory import Memory
 from twin.pipeline.reference_presses import bare_face, rest_surface, undeformed
 
 RADIUS_MM = 16.0
 """Radius of scenes/examples/dome.stl, whose facets have edges of 1 mm."""
+BLOCK_MM = 50.0
+"""Radius of scenes/examples/domed_block.stl, whose facets have edges of 1.8 mm."""
 PAD = {
     "mechanics.model": "fem",
     "mechanics.pad": {"file": "scenes/examples/dome.stl"},
@@ -64,3 +73,84 @@ def test_a_lamp_beside_the_flank_of_a_dome_is_refused(experiment):
         InputError, match=r"lamps\.blue_1: its lower edge is at 1 mm, allowed above"
     ):
         undeformed(low)
+
+
+def as_springs(self, case, progress=None):
+    """Press in closed form in place of the elements: the dome, or the ball where that is higher."""
+    load, (ball,) = case.load, case.shape.spheres()
+    sizes = case.elastomer.length_x_mm, case.elastomer.length_y_mm
+    cells, nodes = ([grid(size, load) for size in sizes] for grid in (cell_centres, face_nodes))
+    rest, touched = (self.rest_face_mm(case, *at) for at in (nodes, cells))
+    coat, overlap = (raised(ball, load.depth_mm, *np.meshgrid(*at)) for at in (nodes, cells))
+    contact = overlap > touched
+    return PressedElastomer(
+        *cells,
+        pressure_kpa=contact * 1.0,
+        contact=contact,
+        touched_face_mm=np.maximum(touched, overlap),
+        force_n=1.0,
+        depth_mm=load.depth_mm,
+        young_modulus_kpa=100.0,
+        face_x_mm=nodes[0],
+        face_y_mm=nodes[1],
+        face_z_mm=np.maximum(rest, coat),
+        validity=contact_validity(case.shape, case.elastomer, (*cells, contact), 0.1, 0.1),
+        iterations=1,
+        converged=True,
+    )
+
+
+def centre_mm(ball, depth_mm, dome_mm=BLOCK_MM):
+    """Return the centre of a ball that is `depth_mm` beyond its first touch of a dome."""
+    apart = dome_mm + ball.radius_mm
+    z_mm = dome_mm - np.sqrt(apart**2 - ball.x_mm**2 - ball.y_mm**2) + depth_mm
+    return np.array([ball.x_mm, ball.y_mm, z_mm])
+
+
+def raised(ball, depth_mm, x_mm, y_mm):
+    x, y, z = centre_mm(ball, depth_mm)
+    inside = ball.radius_mm**2 - (x_mm - x) ** 2 - (y_mm - y) ** 2
+    return np.where(inside > 0.0, z + np.sqrt(np.maximum(inside, 0.0)), -np.inf)
+
+
+@pytest.fixture(scope="module")
+def memory():
+    return Memory()
+
+
+@pytest.mark.parametrize("place_mm", [(0.0, 0.0), (5.0, 3.0)])
+def test_a_ball_on_a_dome_by_coloured_lamps(mi, monkeypatch, memory, place_mm):
+    """Setup: the shipped sensor with 1/4 of its pixels, 6 reference presses, closed-form coats.
+
+    Expected: heights within 15 um RMS of the closed form over the field, radius of the 3 mm ball to 6 %, on
+    the apex and on the flank.
+    """
+    monkeypatch.setattr(FemModel, "press", as_springs)
+    x_mm, y_mm = place_mm
+    case = load_experiment(
+        "examples/domed_gelsight",
+        {
+            "photometric.presses.count": 6,
+            "camera.width_px": 1092,
+            "camera.height_px": 820,
+            "camera.pixel_pitch_um": 3.36,
+            "photometric.width_px": 160,
+            "photometric.height_px": 120,
+            "specimen.x_mm": x_mm,
+            "specimen.y_mm": y_mm,
+        },
+    )
+    done = measure(case, memory=memory)
+    points = done.points.world_mm[done.points.valid].astype(float)
+    (ball,) = case.specimen.shape().spheres()
+    centre = centre_mm(ball, case.press.depth_mm)
+    dome = BLOCK_MM - np.sqrt(BLOCK_MM**2 - points[:, 0] ** 2 - points[:, 1] ** 2)
+    expected = np.maximum(dome, raised(ball, case.press.depth_mm, points[:, 0], points[:, 1]))
+    field = (np.abs(points[:, 0]) < 9.3) & (np.abs(points[:, 1]) < 7.15)
+    off_mm = (points[:, 2] - expected)[field]
+    print("RMS um", 1e3*np.sqrt(np.mean(off_mm**2)), "bias", 1e3*off_mm.mean(), "n", field.sum(), len(points))
+    middle = centre[:2] * BLOCK_MM / (BLOCK_MM + ball.radius_mm)
+    inner = np.hypot(*(points[:, :2] - middle).T) < 0.9
+    fit=fit_sphere(points[inner]); print(fit.radius_mm, fit.centre_mm, centre, inner.sum())
+    assert np.sqrt(np.mean(off_mm**2)) < 0.015
+    assert fit.radius_mm == pytest.approx(ball.radius_mm, rel=0.06)
