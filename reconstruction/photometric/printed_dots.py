@@ -130,6 +130,8 @@ class GelMotion:
     sigma_mm : (dot, xy) standard uncertainties, from those of the centres and of the height
     pitch_mm : distance of neighbouring pixels on the gel
     shape : rows and columns of the images
+    view_distance_mm : see `DotOptions`
+    height_sigma_mm : standard uncertainty of the heights
     rest : undeformed coat of a domed gel; None: the gel is flat
     """
 
@@ -139,10 +141,16 @@ class GelMotion:
     sigma_mm: FloatArray
     pitch_mm: float
     shape: tuple[int, int]
+    view_distance_mm: float = 0.0
+    height_sigma_mm: float = 0.0
     rest: RestSurface | None = None
 
     def field(self) -> "GelMotionField":
         """Return the smooth field of the tracked dots at every fourth row and column.
+
+        The error of the height changes over some spacings of the dots, as the height itself. Dots
+        around a point share it, so their mean contains it in full: it is added to the sigma of the
+        smooth field, in which errors of dots are independent.
 
         Raises
         ------
@@ -153,11 +161,15 @@ class GelMotion:
             self.places_mm[tracked], self.moved_mm[tracked], self.sigma_mm[tracked]
         )
         rows, cols = (np.arange(_EVERY // 2, size, _EVERY) for size in self.shape)
-        places = np.stack(np.meshgrid(rows, cols, indexing="ij"), axis=-1).reshape(-1, 2)
-        on_gel = _on_gel_mm(places.astype(np.float64), self.shape, self.pitch_mm)
+        grid = np.stack(np.meshgrid(rows, cols, indexing="ij"), axis=-1)
+        places = grid.reshape(-1, 2).astype(np.float64)
+        on_gel = _on_gel_mm(places, self.shape, self.pitch_mm)
         if self.rest is not None:
-            on_gel = self.rest.points_mm[places[:, 0], places[:, 1], :2].astype(np.float64)
-        arrays = (of.reshape(rows.size, cols.size, 2) for of in (on_gel, *smooth.at(on_gel)))
+            on_gel = _interpolated(self.rest.points_mm[..., :2], places)
+        moved, sigma = smooth.at(on_gel)
+        shared = _per_height(places, on_gel, self.view_distance_mm, self.rest)
+        sigma = np.hypot(sigma, self.height_sigma_mm * shared)
+        arrays = (of.reshape(rows.size, cols.size, 2) for of in (on_gel, moved, sigma))
         return GelMotionField(rows, cols, *arrays)
 
 
@@ -199,22 +211,48 @@ def gel_motion(
         imaged = height_map.rest.points_at(height_map.height_mm)[..., :2]
         places_mm = _interpolated(height_map.rest.points_mm[..., :2], before)
         moved = _interpolated(imaged, after) - places_mm
-        down, right = (
-            _interpolated(part[..., None], after)[:, 0] for part in height_map.rest.sight
-        )
-        per_height = np.column_stack([right, down])
     else:
-        nearer, per_height = np.zeros((len(before), 1)), np.zeros((len(before), 2))
+        nearer = np.zeros((len(before), 1))
         places_mm = _on_gel_mm(before, shape, pitch_mm)
         if view_distance_mm:
             nearer = _interpolated(height_map.height_mm[..., None], after) / view_distance_mm
-            per_height = places_mm / view_distance_mm
         moved = _on_gel_mm(after, shape, pitch_mm) * (1.0 - nearer) - places_mm
+    per_height = _per_height(after, places_mm, view_distance_mm, height_map.rest)
     sigma_mm = np.hypot(pitch_mm * tracks.sigma_px[:, ::-1], height_sigma_mm * per_height)
     lost = tracks.sigma_px[:, 0] == 0.0
     moved[lost] = sigma_mm[lost] = 0.0
     rows, cols = shape
-    return GelMotion(tracks, places_mm, moved, sigma_mm, pitch_mm, (rows, cols), height_map.rest)
+    return GelMotion(
+        tracks,
+        places_mm,
+        moved,
+        sigma_mm,
+        pitch_mm,
+        (rows, cols),
+        view_distance_mm,
+        height_sigma_mm,
+        height_map.rest,
+    )
+
+
+def _per_height(
+    places_px: FloatArray,
+    on_gel_mm: FloatArray,
+    view_distance_mm: float,
+    rest: RestSurface | None,
+) -> FloatArray:
+    """Return the error of displacements along x and y (n, 2) per error of the height.
+
+    Parameters
+    ----------
+    places_px, on_gel_mm : (n, 2), row and column, and x and y, of the same points
+    """
+    if rest is not None:
+        down, right = (_interpolated(part[..., None], places_px)[:, 0] for part in rest.sight)
+        return np.column_stack([right, down])
+    if not view_distance_mm:
+        return np.zeros_like(on_gel_mm)
+    return on_gel_mm / view_distance_mm
 
 
 def _interpolated(image: FloatArray | FloatImage, places_px: FloatArray) -> FloatArray:

@@ -34,13 +34,17 @@ def test_fem_and_spectral_agree_on_the_papers_slab():
 
 
 def test_a_domed_pad_from_an_experiment_file():
-    """End to end from STL: the coat is on the ball in the middle and on the dome outside."""
+    """End to end from STL: the coat is on the ball in the middle and on the dome outside.
+
+    Expected too: no warning on the pad's sides, which are a part of the elements.
+    """
     result = pressed("examples/domed_pad", mechanics__tetrahedra=800)
     row = np.abs(result.face_y_mm).argmin()
     middle, edge = (np.interp(x, result.face_x_mm, result.face_z_mm[row]) for x in (0.0, 5.5))
     assert middle == pytest.approx(0.5, abs=0.02)
     assert edge == pytest.approx(16 - np.sqrt(16**2 - 5.5**2), abs=0.05)
     assert result.force_n > 0
+    assert not any("side" in line for line in result.validity.warnings)
 
 
 def test_a_rectangle_beyond_a_round_pad_is_refused_before_it_is_solved():

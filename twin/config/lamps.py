@@ -169,7 +169,9 @@ class Photometric(Model):
     height_px: Annotated[int, Field(ge=16, le=4096)] = 240
     field_x_mm: Length = Field(default=18.6, description="evaluated part of the coat, centred")
     field_y_mm: Length = 14.3
-    markers: Markers | None = None
+    markers: Markers | None = Field(
+        default=None, description="printed dots; photometric stereo only, not in fringe images"
+    )
     presses: BallPresses = Field(default_factory=BallPresses)
     colour_map: Annotated[str, NameOf(COLOUR_MAPS)] = Field(
         default=DEFAULT_MAP, description="how colours become slopes"

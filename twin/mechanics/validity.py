@@ -208,6 +208,12 @@ def contact_validity(
     )
 
 
+def with_sides(validity: Validity) -> Validity:
+    """Return the accuracy of a model that contains the pad's sides: without the warning on them."""
+    warnings = tuple(text for text in validity.warnings if _SIDES not in text)
+    return replace(validity, warnings=warnings)
+
+
 def bend_over_ball(thickness_mm: float, shape: Shape) -> float:
     """Return thickness over radius of bending of a sheet that wraps round the smallest ball.
 

@@ -18,7 +18,7 @@ from twin.config.models import Elastomer, Press
 from twin.mechanics.errors import PressError
 from twin.mechanics.layouts import cell_centres, face_nodes
 from twin.mechanics.press import PressedElastomer
-from twin.mechanics.validity import Validity, contact_validity
+from twin.mechanics.validity import Validity, contact_validity, with_sides
 from twin.shape import Shape
 
 # A cell touches if this share of the integration points round it is loaded: under a curved specimen
@@ -116,7 +116,7 @@ def _validity(
     judge = partial(contact_validity, shape, elastomer, cells)
     judged = judge(solved.depth_mm, peak_mm)
     if not solved.large_strain:
-        return judged
+        return with_sides(judged)
     # At large strain, depth and deflection need no warning: only the other warnings remain.
     remaining = judge(0.0, 0.0).warnings
     error_mm = _ELEMENT_ERROR * solved.depth_mm

@@ -1,7 +1,8 @@
 """Fill a closed surface with tetrahedra of graded sizes, by pytetwild in a child process.
 
 pytetwild can crash (always at epsilon 1e-2) or run for minutes (1e-5). It therefore has its own
-process, a time limit and an epsilon between these. The surface of its mesh deviates by about
+process, a limit of its processor time, which a busy machine does not change, and an epsilon between
+these. The surface of its mesh deviates by about
 epsilon, so that vertices near planar faces are moved back on these faces. Its meshes differ from
 run to run, even with one thread.
 """
@@ -33,6 +34,8 @@ _BACKGROUND_CELLS = 24
 _POOREST_QUALITY = 1e-3
 # Increase of the edges' length per distance from the zone of the finest edges.
 _GROWTH = 0.35
+# Wall-clock limit of a child that waits, over the limit of its processor time.
+_WALL_OVER_PROCESSOR = 10.0
 
 
 @dataclass(frozen=True)
@@ -68,7 +71,8 @@ def tetrahedralize(
     body : surface, mm; surfaces inside the body become faces of the tetrahedra
     sizing : function that returns the target edge length at points
     epsilon : largest deviation of the surface, over the diagonal of the bounding box
-    timeout_s : the child process is killed after this time
+    timeout_s : processor time after which the child process ends; it is killed after ten times
+        this wall-clock time
 
     Raises
     ------
@@ -84,7 +88,7 @@ def tetrahedralize(
         source, target = Path(folder) / "surface.npz", Path(folder) / "cells.npz"
         np.savez(source, points=body.vertices, facets=body.faces, epsilon=epsilon, **box)
         # fTetWild writes a file into its working folder: the temporary one.
-        command = [sys.executable, "-P", str(_CHILD), str(source), str(target)]
+        command = [sys.executable, "-P", str(_CHILD), str(source), str(target), str(timeout_s)]
         _run_child(command, timeout_s, folder)
         with np.load(target) as mesh:
             points, cells = mesh["points"], mesh["cells"].astype(np.int64)
@@ -117,19 +121,21 @@ def count_estimate(body: trimesh.Trimesh, sizing: Sizing) -> float:
 
 
 def _run_child(command: list[str], timeout_s: float, folder: str) -> None:
+    wall_s = _WALL_OVER_PROCESSOR * timeout_s
     try:
         ended = subprocess.run(
-            command, capture_output=True, text=True, timeout=timeout_s, check=False, cwd=folder
+            command, capture_output=True, text=True, timeout=wall_s, check=False, cwd=folder
         )
     except subprocess.TimeoutExpired:
         raise SolverError(
-            f"pytetwild: no mesh within {timeout_s:g} s; request fewer tetrahedra"
+            f"pytetwild: no mesh within {wall_s:g} s; request fewer tetrahedra"
         ) from None
     if ended.returncode < 0:
         name = signal.Signals(-ended.returncode).name
-        raise SolverError(
-            f"pytetwild: its process ended by {name}; repair the surface or change epsilon"
-        )
+        message = f"its process ended by {name}; repair the surface or change epsilon"
+        if name == "SIGXCPU":
+            message = f"no mesh within {timeout_s:g} s of processor time; request fewer tetrahedra"
+        raise SolverError(f"pytetwild: {message}")
     if ended.returncode:
         message = (ended.stderr.strip().splitlines() or ["no message"])[-1]
         raise SolverError(f"pytetwild: failed ({message})")

@@ -1,11 +1,13 @@
 """Program that runs pytetwild for `tetrahedra` in its own process, which pytetwild may crash.
 
-Its arguments are an input and an output path (npz). It imports no module of the twin, so that it
+Its arguments are an input and an output path (npz), and the limit of its processor time in seconds,
+at which SIGXCPU ends it. It imports no module of the twin, so that it
 starts fast. It ends with its parent: a mesh may take minutes, in which no Python code runs.
 """
 
 import ctypes
 import importlib.util
+import math
 import signal
 import sys
 import types
@@ -20,6 +22,17 @@ def end_with_parent() -> None:
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+
+
+def limit_processor_time(limit_s: float) -> None:
+    """End this process when all its threads together have used `limit_s` (not on Windows)."""
+    if sys.platform != "win32":
+        import resource
+
+        most = resource.getrlimit(resource.RLIMIT_CPU)[1]
+        allowed = math.ceil(limit_s)
+        if most == resource.RLIM_INFINITY or allowed < most:
+            resource.setrlimit(resource.RLIMIT_CPU, (allowed, most))
 
 
 def main(source: str, target: str) -> None:
@@ -46,4 +59,5 @@ def main(source: str, target: str) -> None:
 
 if __name__ == "__main__":
     end_with_parent()
+    limit_processor_time(float(sys.argv[3]))
     main(sys.argv[1], sys.argv[2])
