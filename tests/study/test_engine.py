@@ -289,7 +289,7 @@ def _hold(folder, digest, held, release):
 
 
 def test_workers_end_with_their_run(two_axes, stored):
-    """kill -9 of a run while its workers compute: they end too, without a message."""
+    """kill -9 of a run while its worker computes: it ends too, without a message."""
     store, _ = stored(two_axes)
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["tests.study.synthetic"])
