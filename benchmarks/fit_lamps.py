@@ -269,12 +269,15 @@ def _brighter_on_steel(experiment: Experiment) -> float:
     return 1.0 if touching is None or free is None else touching / free
 
 
-def fit(shading: Shading, channel: str) -> Rows:
-    """Fit the rows of one channel; channels are independent."""
-    return rows_of(channel, _solved(shading, channel).x)
+def fit(shading: Shading, channel: str, tolerance: float = 1e-8) -> Rows:
+    """Fit the rows of one channel; channels are independent.
+
+    The fit ends at a step that decreases the sum of squares by less than the relative `tolerance`.
+    """
+    return rows_of(channel, _solved(shading, channel, tolerance).x)
 
 
-def _solved(shading: Shading, channel: str) -> Any:
+def _solved(shading: Shading, channel: str, tolerance: float) -> Any:
     number, parts = CHANNELS.index(channel), unknowns_of(channel)
     start, spread, low, high = (
         np.array([getattr(u, key) for u in parts]) for key in ("start", "spread", "low", "high")
@@ -290,7 +293,7 @@ def _solved(shading: Shading, channel: str) -> Any:
         own = BEFORE_WEIGHT * per_spot * before, per_spot * change, (values - start) / spread
         return np.concatenate([tiles.ravel(), *own])
 
-    return least_squares(residuals, start, bounds=(low, high), x_scale=spread)
+    return least_squares(residuals, start, bounds=(low, high), x_scale=spread, ftol=tolerance)
 
 
 def figures(shading: Shading, lamps: dict[str, Rows]) -> dict[str, float]:

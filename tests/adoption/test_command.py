@@ -12,7 +12,9 @@ from pathlib import Path
 import pytest
 
 import twin
+from reconstruction.capture.folder import read_capture
 from reconstruction.errors import InputError
+from twin.adoption.elastomer import KnownBallPress, elastomer_fields
 from twin.adoption.rendered import _require_albedo
 from twin.cli import run
 from twin.config import load_experiment
@@ -182,8 +184,9 @@ def test_a_pressed_ball_gives_the_elastomer(tmp_path):
     adopted = load_experiment(rig / "experiment.toml")
     assert adopted.elastomer.thickness_mm == pytest.approx(0.2, abs=0.003)
     layer.write_text(LAYER.replace("0.21", "4.0"))
-    again = ["adopt", str(rendered), *ball, "-o", str(tmp_path / "thick"), "--no-report"]
-    assert run(again) == 2
+    press = KnownBallPress(rendered, layer, 8.0)
+    with pytest.raises(InputError, match="which shows no free form"):
+        elastomer_fields(press, read_capture(rendered))
 
 
 def test_the_public_function_returns_the_same(adopted):

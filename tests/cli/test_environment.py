@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from twin.cli import run
+
 TWIN = "import sys; from twin.cli import main; main()"
 COMMAND = [sys.executable, "-c", TWIN, "init", "--list"]
 REJECTED = [
@@ -64,6 +66,7 @@ def test_compilation_may_be_disabled(tmp_path: Path) -> None:
         *COMMAND[:3],
         "press",
         "examples/slab_ball",
+        *("-s", "press.solver_pitch_mm=0.4", "-s", "press.relief_pitch_mm=0.05"),
         "--no-report",
         "-o",
         str(tmp_path / "out"),
@@ -93,5 +96,5 @@ def test_closed_streams_do_not_change_the_result(tmp_path: Path, closed: tuple[i
     done = subprocess.run(command, preexec_fn=close, check=False)
     assert done.returncode == 0
     again = tmp_path / "again.toml"
-    assert start([*COMMAND[:3], "init", str(again)]).returncode == 0
+    assert run(["init", str(again)]) == 0
     assert file.read_bytes() == again.read_bytes()

@@ -31,19 +31,42 @@ for module in (calibration, captures, forward, inverse, studies):
     module.progress_bars = progress_bars
 main()
 """
-BALL = "examples/slab_ball"
+# With two processes a command reports its first case when it is done: few pixels.
+FILES = {
+    "BALL": """name = "ball"
+use = "scenes/examples/slab_ball"
+[camera]
+binning = 4
+width_px = 480
+height_px = 360
+[press]
+solver_pitch_mm = 0.4
+relief_pitch_mm = 0.05
+""",
+    "STUDY": """name = "two"
+base = "./BALL.toml"
+[[axis]]
+path = "camera.binning"
+values = [2, 4]
+""",
+    "PROBLEM": """name = "few"
+use = "scenes/problems/slab"
+[experiments.balls]
+base = "./BALL.toml"
+""",
+}
 COMMANDS = {
-    "press": [BALL],
-    "render": [BALL],
-    "measure": [BALL],
+    "press": ["BALL"],
+    "render": ["BALL"],
+    "measure": ["BALL"],
     "demo": [],
-    "compare": [BALL, "--methods", "contact_fpp"],
+    "compare": ["BALL", "--methods", "contact_fpp"],
     "reconstruct": [str(ROOT / "docs" / "example_capture")],
-    "calibrate": [BALL],
+    "calibrate": ["BALL"],
     "sweep": ["STUDY", "-j", "2"],
-    "uncertainty": [BALL, "-n", "2", "-j", "2", "--no-budget", "--calibration", "true"],
+    "uncertainty": ["BALL", "-n", "2", "-j", "2", "--no-budget", "--calibration", "true"],
     "paper": ["--only", "hardness", "--trials", "2", "--workers", "2"],
-    "identify": ["problems/slab", "--quick", "-j", "2"],
+    "identify": ["PROBLEM", "--quick", "-j", "2"],
 }
 _GOES_ON = ("compare", "sweep", "uncertainty", "paper", "identify")
 
@@ -55,11 +78,10 @@ def test_the_answer_comes_within_two_seconds():
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_an_interrupted_command_prints_one_line_and_leaves_no_files(tmp_path, command):
-    study = tmp_path / "study.toml"
-    study.write_text(
-        f'name = "two"\nbase = "{BALL}"\n[[axis]]\npath = "camera.binning"\nvalues = [2, 4]\n'
-    )
-    arguments = [str(study) if item == "STUDY" else item for item in COMMANDS[command]]
+    for name, text in FILES.items():
+        (tmp_path / f"{name}.toml").write_text(text)
+    files = {name: str(tmp_path / f"{name}.toml") for name in FILES}
+    arguments = [files.get(item, item) for item in COMMANDS[command]]
     place = tmp_path / "place"
     place.mkdir()
     line = [command, *arguments, "-o", str(place / "out")]

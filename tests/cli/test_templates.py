@@ -55,11 +55,11 @@ def test_an_unknown_template_is_one_line(tmp_path, capsys):
 
 @pytest.mark.parametrize("name", MEASURED)
 def test_each_template_measures_its_object(mi, name, tmp_path, capsys):
-    """From `init` to a verdict, small and coarse; the reports of two open with it."""
+    """From `init` to a verdict, small and coarse; the report opens with it."""
     file, out = tmp_path / "experiment.toml", tmp_path / "out"
     assert run(["init", str(file), "--template", name]) == 0
     settings = [part for item in MEASURED[name] for part in ("-s", item)]
-    pages = [] if name in ("gel", "gelsight") else ["--no-report"]
+    pages = [] if name == "gelsight" else ["--no-report"]
     assert run(["measure", str(file), "-o", str(out), *settings, *pages]) == 0
     figures = read_json(out / "result.json")["metrics"]
     assert figures["measurands_judged"] == len(load_experiment(file).measurand)

@@ -20,6 +20,7 @@ FUZZED = settings(
     deadline=None,
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
 )
+PART = settings(FUZZED, max_examples=40)
 MOST_LINES, LONGEST_LINE = 300, 2000
 
 
@@ -45,7 +46,7 @@ def test_an_experiment_is_valid_or_refused_in_lines(tree):
 @pytest.mark.parametrize(
     "name", ["examples/wrapped_group", "examples/gelsight_ball", "paper/bear", "examples/gauges"]
 )
-@FUZZED
+@PART
 @given(data=st.data())
 def test_a_shipped_experiment_with_faults_is_valid_or_refused_in_lines(name, data):
     tree = load_experiment(name).model_dump(mode="json")
@@ -60,7 +61,7 @@ def test_a_shipped_experiment_with_faults_is_valid_or_refused_in_lines(name, dat
 @pytest.mark.parametrize(
     "model", [Camera, Projector, Elastomer, Flakes, Press, Study, SensorProblem]
 )
-@FUZZED
+@PART
 @given(data=st.data())
 def test_a_part_is_valid_or_refused_in_lines(model, data):
     try:

@@ -49,8 +49,15 @@ def _load(tmp_path: Path, text: str = PROBLEM):
     return load_problem(file)
 
 
-def _identify(tmp_path: Path, text: str = PROBLEM, workers: int = 1):
+# Steps of 40 chains for tests of choices and signs: some 200 independent samples.
+SHORT = 400
+
+
+def _identify(tmp_path: Path, text: str = PROBLEM, workers: int = 1, longest: int | None = None):
     problem, experiments = _load(tmp_path, text)
+    if longest:  # a file may not ask for so few
+        design = problem.design.model_copy(update={"longest": longest})
+        problem = problem.model_copy(update={"design": design})
     with lasting(local_workers(workers)) as pool:  # the processes are started once for all stages
         result = identify(problem, experiments, tmp_path / "out", pool, make_measurer=Formula)
     return result, experiments
@@ -96,7 +103,9 @@ def test_intervals_cover_the_hidden_values_of_eight_sensors(tmp_path):
             name: row.model_copy(update={"value": true[name] + row.sd * rng.normal()})
             for name, row in problem.rows.items()
         }
-        intervals = infer(problem.model_copy(update={"rows": read}), simulated).intervals()
+        intervals = infer(
+            problem.model_copy(update={"rows": read}), simulated, longest=SHORT
+        ).intervals()
         for name, value in (("thickness", thickness), ("depth", depth)):
             interval = intervals[name]
             within_68.append(interval.low_68 <= value <= interval.high_68)
@@ -117,14 +126,14 @@ value = 0.12
 sd = 0.001
 """
     )
-    result, _ = _identify(tmp_path, text)
+    result, _ = _identify(tmp_path, text, longest=SHORT)
     assert [set(ridge.share) for ridge in result.ridges()] == [{"thickness", "depth"}]
     shares = list(result.ridges()[0].share.values())
     assert shares[0] * shares[1] > 0  # across the ridge of a product both fields increase
 
 
 CHOICES = (
-    PROBLEM
+    PROBLEM.replace("count = 64", "count = 32")  # the two layouts are simulated
     + """
 [alternatives.fit.choices.near]
 [alternatives.fit.choices.far]
@@ -144,7 +153,7 @@ sd = 0.005
 def test_choices_are_judged_and_only_those_that_change_it_are_simulated(tmp_path):
     problem, _ = _load(tmp_path, CHOICES)
     assert [model.name for model in variants_of(problem)] == ["ball-free", "ball-window"]
-    result, _ = _identify(tmp_path, CHOICES)
+    result, _ = _identify(tmp_path, CHOICES, longest=SHORT)
     # Thickness 0.3 and depth 0.54 give 0.162; the window doubles the product.
     assert result.best.combination == {"fit": "near", "layout": "window"}
     assert result.best.probability > 0.95
@@ -199,9 +208,9 @@ def test_further_simulations_are_near_the_posterior_and_improve_the_emulator(tmp
     """The wave has a period of 0.25 mm in depth: 20 points over 0.5 mm do not resolve it."""
     (tmp_path / "coarse").mkdir()
     (tmp_path / "refined").mkdir()
-    short = CURVED.replace("= 20", "= 20\nlongest = 1000")  # short chains suffice
-    coarse, _ = _identify(tmp_path / "coarse", short)
-    refined, _ = _identify(tmp_path / "refined", short.replace("= 20", "= 20\nrefine = 16"))
+    coarse, _ = _identify(tmp_path / "coarse", CURVED, longest=SHORT)
+    further = CURVED.replace("= 20", "= 20\nrefine = 16")
+    refined, _ = _identify(tmp_path / "refined", further, longest=SHORT)
     table = read_table(tmp_path / "refined" / "out" / "studies" / "ball_refined")
     assert len(table.rows) == 16
     thickness = np.array([row["thickness"] for row in table.rows])
@@ -226,10 +235,10 @@ def test_no_more_places_are_drawn_than_there_are_samples(identified):
 def test_same_results_after_a_resume_and_with_two_workers(tmp_path):
     (tmp_path / "one").mkdir()
     (tmp_path / "two").mkdir()
-    text = CURVED.replace("= 20", "= 12\nrefine = 4\nlongest = 1000")  # short chains suffice
-    first, _ = _identify(tmp_path / "one", text)
-    again, _ = _identify(tmp_path / "one", text)
-    parallel, _ = _identify(tmp_path / "two", text, workers=2)
+    text = CURVED.replace("= 20", "= 12\nrefine = 4")
+    first, _ = _identify(tmp_path / "one", text, longest=SHORT // 4)
+    again, _ = _identify(tmp_path / "one", text, longest=SHORT // 4)
+    parallel, _ = _identify(tmp_path / "two", text, workers=2, longest=SHORT // 4)
     assert figures_of(first) == figures_of(again) == figures_of(parallel)
 
 

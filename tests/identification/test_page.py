@@ -12,8 +12,8 @@ from tests.identification.sensors import Formula
 from tests.identification.test_identify import CHOICES
 from twin.cli import run as command
 from twin.config import load_experiment
+from twin.identification import posterior, simulations
 from twin.identification import run as identification
-from twin.identification import simulations
 from twin.identification.findings import Ridge
 from twin.report.identified import ridge_words
 
@@ -50,6 +50,9 @@ def folder(tmp_path_factory):
         patched.setattr(simulations.simulate, "__kwdefaults__", defaults)
         defaults = identification.identify.__kwdefaults__ | {"make_measurer": Formula}
         patched.setattr(identification.identify, "__kwdefaults__", defaults)
+        # Chains of five correlation times: their accuracy is not judged here.
+        patched.setattr(posterior, "_CORRELATION_TIMES", 5)
+        patched.setattr(posterior, "_EFFECTIVE", 200)
         code = command(["identify", str(home / "problem.toml"), "-o", str(home / "out"), "-j", "1"])
     assert code in (0, None)
     return home / "out"

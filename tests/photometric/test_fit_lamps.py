@@ -10,6 +10,9 @@ from benchmarks.fit_lamps import CHANNELS, UNITS, fit, shading_of
 from benchmarks.real_presses import RealPresses, circle_of, read_presses, spots_of
 from twin.config import load_experiment
 
+# Ten times less: three times the steps, misfits smaller by 2 % (9 % without transmission).
+TOLERANCE = 1e-3
+
 
 @pytest.fixture(scope="module")
 def experiment():
@@ -43,7 +46,8 @@ def test_held_out_presses_are_predicted(presses):
     def misfit(settings):
         plain = {"modality": "contact_fpp"}
         case = load_experiment("examples/gelsight_ball", plain | settings)
-        lamps = fit(shading_of(case, part(presses, range(0, len(presses.presses), 3))), "blue")
+        fitted = shading_of(case, part(presses, range(0, len(presses.presses), 3)))
+        lamps = fit(fitted, "blue", TOLERANCE)
         image = shading_of(case, others).image(lamps)
         return rms(image.during - image.before - others.change[:, CHANNELS.index("blue")])
 
@@ -53,13 +57,15 @@ def test_held_out_presses_are_predicted(presses):
 
 
 def test_lamps_of_a_unit_fit_a_second_unit(experiment, presses, monkeypatch):
-    """Fitted to one unit and half of the presses, to 1.6 levels; on the other 4.1 of some 95.
+    """Fitted to one unit and half of the presses, to 1.7 levels; on the other 4.2 of some 95.
 
     The units differ by 5.4 levels.
     """
     shading = shading_of(experiment, part(presses, range(0, len(presses.presses), 2)))
     monkeypatch.setattr(fit_lamps, "UNITS", UNITS[:1])
-    backgrounds = np.stack([shading.background(fit(shading, channel)) for channel in CHANNELS])
+    backgrounds = np.stack(
+        [shading.background(fit(shading, channel, TOLERANCE)) for channel in CHANNELS]
+    )
     assert rms(backgrounds - UNITS[0]) < 2.4
     assert rms(backgrounds - UNITS[1]) < 4.6
     assert rms(UNITS[0] - UNITS[1]) == pytest.approx(5.4, abs=0.05)

@@ -1,6 +1,5 @@
-"""A coating from a user's file: found from TOML, the command line, keys, schema and a study."""
+"""A coating from a user's file: found from TOML, the command line, keys and schema."""
 
-import json
 import os
 import subprocess
 import sys
@@ -8,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from twin.cli import run
 from twin.cli.plugins import without_plugins
 
 ROOT = Path(__file__).parents[2]
@@ -38,20 +38,17 @@ pixel_pitch_um = {{ value = 90.0, source = "test" }}
 steps = 3
 period_px = 32
 """
-STUDY = """
-name = "coats"
-base = "{base}"
-
-[[axis]]
-path = "coating.albedo"
-values = [0.2, 0.6]
-"""
 
 
 def twin(*words, code=0):
     """Run a command of its own process, without plug-ins of this one; return stdout and stderr."""
+    return python("from twin.cli import main; main()", *words, code=code)
+
+
+def python(program, *words, code=0):
+    """Run code in a process of its own, without plug-ins of this one; return stdout and stderr."""
     done = subprocess.run(
-        [sys.executable, "-c", "from twin.cli import main; main()", *map(str, words)],
+        [sys.executable, "-c", program, *map(str, words)],
         cwd=ROOT,
         env={name: value for name, value in os.environ.items() if name != "FRINGE_TWIN_PLUGINS"},
         capture_output=True,
@@ -73,8 +70,9 @@ def test_the_example_is_short():
     assert len(PLUGIN.read_text(encoding="utf-8").splitlines()) <= 60
 
 
-def test_without_the_plugin_the_kind_is_unknown_in_one_line(experiment, tmp_path):
-    _, message = twin("render", experiment, "-o", tmp_path / "out", code=2)
+def test_without_the_plugin_the_kind_is_unknown_in_one_line(experiment, tmp_path, capsys):
+    assert run(["render", str(experiment), "-o", str(tmp_path / "out")]) == 2
+    message = capsys.readouterr().err
     assert message.count("\n") == 1
     assert "coating.kind: found 'enamel', allowed: " in message
     assert "'flakes', 'matte', 'measured'" in message
@@ -86,36 +84,32 @@ def test_an_experiment_is_rendered_with_it(mi, experiment, tmp_path):
     assert 'kind = "enamel"' in (out / "experiment.toml").read_text(encoding="utf-8")
 
 
-def test_a_range_of_it_is_refused_in_one_line(experiment, tmp_path):
-    words = ("render", experiment, f"--plugin={PLUGIN}", "-o", tmp_path / "out")
-    _, message = twin(*words, "-s", "coating.albedo=1.5", code=2)
+TWO_LINES = """
+import sys
+from twin.cli import run
+plugin, *line = sys.argv[1:]
+run(["keys", "pigment", "--plugin", plugin])
+sys.exit(run([*line, f"--plugin={plugin}"]))
+"""
+
+
+def test_its_keys_are_listed_and_a_range_is_refused_in_one_line(experiment, tmp_path):
+    line = "render", experiment, "-o", tmp_path / "out", "-s", "coating.albedo=1.5"
+    keys, message = python(TWO_LINES, PLUGIN, *line, code=2)
+    assert "coating(enamel).albedo" in keys.splitlines()
     assert message.strip().endswith("coating.albedo: found 1.5, should be less than 1")
 
 
-def test_its_keys_are_listed():
-    keys, _ = twin("--plugin", PLUGIN, "keys", "pigment")
-    assert "coating(enamel).albedo" in keys.splitlines()
-
-
-def test_a_study_on_two_processes_measures_with_it(mi, experiment, tmp_path):
-    study, out = tmp_path / "study.toml", tmp_path / "out"
-    study.write_text(STUDY.format(base=experiment), encoding="utf-8")
-    twin("sweep", study, "-o", out, "-j", 2, "--plugin", PLUGIN)
-    results = [json.loads(file.read_text("utf-8")) for file in out.rglob("result.json")]
-    assert len(results) == 2
-    exposures = sorted(result["metrics"]["exposure_ms"] for result in results)
-    assert exposures[1] > exposures[0]  # the darker enamel needs more
-
-
-def test_a_file_that_fails_is_named_with_its_line(tmp_path):
+def test_a_file_that_fails_is_named_with_its_line(tmp_path, capsys):
     broken = tmp_path / "broken.py"
     broken.write_text("import math\nmath.nothing\n", encoding="utf-8")
-    _, message = twin("keys", "--plugin", broken, code=2)
-    assert f"{broken}:2: AttributeError" in message
-    _, message = twin("keys", "--plugin", tmp_path / "absent.py", code=2)
-    assert "found no file there" in message
-    _, message = twin("keys", "--plugin", code=2)
-    assert "--plugin: found no file" in message
+    for file, message in (
+        (str(broken), f"{broken}:2: AttributeError"),
+        (str(tmp_path / "absent.py"), "found no file there"),
+        ("", "--plugin: found no file"),
+    ):
+        assert run(["keys", "--plugin", *([file] if file else [])]) == 2
+        assert message in capsys.readouterr().err
 
 
 def test_the_option_may_be_anywhere_but_after_the_end_of_options():
@@ -160,9 +154,6 @@ twin.plugin({str(PLUGIN)!r})
 print(twin.vary(slab, changes).coating)
 print("Enamel" in Experiment.model_json_schema()["$defs"])
 """
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True
-    )
-    first, coating, in_schema = done.stdout.splitlines()
+    first, coating, in_schema = python(code)[0].splitlines()
     assert (first, in_schema) == ("unknown", "True")
     assert coating == "kind='enamel' texture=None albedo=0.4 gloss_roughness=0.1"

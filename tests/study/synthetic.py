@@ -126,7 +126,7 @@ class Slow(Fake):
 
 
 def run_slowly(folder, pids):
-    """Run a study on two workers, and print their process ids as soon as they compute."""
+    """Run a study on a worker process, and report its process id as soon as it computes."""
 
     def tell(_):
         if not worker_pids:
@@ -136,4 +136,4 @@ def run_slowly(folder, pids):
     worker_pids = []
     store = Store(Path(folder))
     cases = read_record(store.folder).cases().unique()
-    Run(store, local_workers(2), make_measurer=Slow, done=tell)(cases)
+    Run(store, local_workers(1, cores=1), make_measurer=Slow, done=tell)(cases)

@@ -2,7 +2,6 @@
 
 import pytest
 
-from tests.study import synthetic
 from twin.study.engine import Run
 from twin.study.workers import dask_workers, local_workers
 
@@ -33,20 +32,18 @@ def contents(store):
     }
 
 
-@pytest.mark.parametrize("real", [False, True], ids=["stand-in", "real"])
-def test_cluster_gives_the_bytes_of_one_process(mi, cluster, study_of, stored, real):
-    """Setup: a cluster of two processes, and this process; synthetic and real measurements."""
+def test_cluster_gives_the_bytes_of_one_process(mi, cluster, study_of, stored):
+    """Setup: a cluster of two processes, and this process."""
     albedo = {"path": "coating.base_albedo", "values": [0.3, 0.4]}
     period = {"path": "patterns.period_px", "values": [18.0, 20.0]}
     study = study_of(albedo, period)
-    measuring = {} if real else {"make_measurer": synthetic.Fake}
     result = []
     for name, workers in (
         ("one", local_workers(1)),
         ("cluster", dask_workers(cluster.scheduler_address)),
     ):
         store, cases = stored(study, name)
-        outcome = Run(store, workers, **measuring)(cases)
+        outcome = Run(store, workers)(cases)
         assert outcome.states == {"done": 4}
         result.append(contents(store))
     assert result[0] == result[1]

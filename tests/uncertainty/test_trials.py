@@ -29,12 +29,15 @@ def known_parts():
 
 
 def test_a_linear_model_adds_variances(run_trials):
-    """y = 4 + 2 x - 3 y: u^2 = sum of squares of the parts, by budget and by 300 trials."""
-    measurand = run_trials(300).measurands["value_mm"]
+    """y = 4 + 2 x - 3 y: u^2 = sum of squares of the parts, by budget and by 200 trials.
+
+    Without x or y, u is smaller by 24 % or more; four standard errors of 200 trials are 20 %.
+    """
+    measurand = run_trials(200).measurands["value_mm"]
     parts = known_parts()
     expected = np.sqrt(sum(u**2 for u in parts.values()))
-    assert measurand.distribution.mean == pytest.approx(4.0, abs=4 * expected / 300**0.5)
-    assert measurand.distribution.standard_uncertainty == pytest.approx(expected, rel=4 / 600**0.5)
+    assert measurand.distribution.mean == pytest.approx(4.0, abs=4 * expected / 200**0.5)
+    assert measurand.distribution.standard_uncertainty == pytest.approx(expected, rel=4 / 400**0.5)
     assert measurand.from_budget == pytest.approx(expected, rel=0.02)
     for part in measurand.parts:
         exact = part.name in "xy"
@@ -75,13 +78,13 @@ def test_further_trials_are_added_to_the_stored_ones(run_trials, tmp_path):
 
 
 def test_same_bytes_with_one_worker_two_and_after_a_stop(run_trials, tmp_path, balls):
-    """One process, two, and a run resumed after three trials: the same table and files."""
+    """One process, two, and a run resumed after two trials: the same table and files."""
     texts = []
     for name, workers in (("one", 1), ("two", 2)):
-        result = run_trials(12, name=name, workers=workers)
+        result = run_trials(4, name=name, workers=workers)
         write_uncertainty(tmp_path / name, result)
-    run_trials(3, name="stopped")
-    write_uncertainty(tmp_path / "stopped", run_trials(12, name="stopped"))
+    run_trials(2, name="stopped")
+    write_uncertainty(tmp_path / "stopped", run_trials(4, name="stopped"))
     for name in ("one", "two", "stopped"):
         write_csv(read_table(tmp_path / name), tmp_path / f"{name}.csv")
         files = [tmp_path / f"{name}.csv", tmp_path / name / "result.json"]

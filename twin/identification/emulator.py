@@ -12,6 +12,7 @@ fields' axes. Instead of a figure itself, its logarithm or its reciprocal may be
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -269,8 +270,13 @@ def _left_out(
 
 def _terms(at: FloatArray) -> FloatArray:
     """Return the terms (n, term) of the quadratic trend: 1, x, the squares, the products."""
-    i, j = np.triu_indices(at.shape[1], 1)
+    i, j = _pairs(at.shape[1])
     return np.concatenate((np.ones((len(at), 1)), at, at**2, at[:, i] * at[:, j]), axis=1)
+
+
+@lru_cache(maxsize=32)
+def _pairs(fields: int) -> tuple[IntArray, IntArray]:
+    return np.triu_indices(fields, 1)
 
 
 def _kernel(at: FloatArray, left: FloatArray) -> Any:

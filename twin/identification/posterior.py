@@ -266,8 +266,9 @@ def sample(likelihood: Likelihood, seed: int, longest: int = LONGEST_CHAIN) -> P
     state: Any = emcee.State(_starts(likelihood, walkers, rng), random_state=random_state)
     steps, time = 0, np.inf
     while steps < longest and steps < max(_CORRELATION_TIMES, _EFFECTIVE / walkers) * time:
-        state = sampler.run_mcmc(state, _STEPS, skip_initial_state_check=True)
-        steps += _STEPS
+        further = min(_STEPS, longest - steps)
+        state = sampler.run_mcmc(state, further, skip_initial_state_check=True)
+        steps += further
         time = float(np.max(sampler.get_autocorr_time(tol=0)))
         time = time if np.isfinite(time) else steps
     z = sampler.get_chain(discard=steps // 4, thin=max(1, int(time / 2)), flat=True)

@@ -79,7 +79,8 @@ def identify(
     simulated = run(problem, experiments, folder, workers)
     with lasting(workers) as pool:
         if any(problem.refined(name) for name in problem.experiments):
-            first = infer(problem, simulated, watch, pool, longest=_FIRST_STEPS)
+            steps = min(_FIRST_STEPS, problem.design.longest)
+            first = infer(problem, simulated, watch, pool, longest=steps)
             further = again(problem, experiments, folder, pool, _refined_places(first))
             simulated |= {v: simulated[v].with_further(more) for v, more in further.items()}
         return infer(problem, simulated, watch, pool)
