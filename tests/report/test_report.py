@@ -200,7 +200,7 @@ def test_nothing_here_measures():
         "comparison",
         "compensation",
         "progress",
-        "scan",
+        "scan_record",
     }
     for path in (Path(__file__).parents[2] / "twin" / "report").glob("*.py"):
         text = path.read_text(encoding="utf-8")
