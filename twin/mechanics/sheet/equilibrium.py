@@ -11,6 +11,14 @@ import numpy as np
 
 from reconstruction.arrays import FloatArray
 from twin.mechanics.errors import SolverError
+from twin.mechanics.sheet.damping import (
+    GROWTH,
+    LEAST_VISCOSITY,
+    MOST_VISCOSITY,
+    Damping,
+    adapted,
+    exact_viscosity,
+)
 from twin.mechanics.sheet.energy import Evaluation, Sheet, SheetState
 from twin.mechanics.sheet.grid import thinning_of
 from twin.mechanics.sheet.laws import Grip
@@ -21,12 +29,6 @@ _LARGEST_TURN = 0.5
 _REGRIP_EVERY = 4
 #: thickness over its undeformed value
 _FILM = 0.1
-_LEAST_VISCOSITY, _CONVEX_FROM, _MOST_VISCOSITY = 1.0, 1e4, 1e15
-# A tangent that was not definite is tried again after 1 step, 2, 4 and at most this number.
-_MOST_CONVEX_STEPS = 16
-_GROWTH = 8.0
-# Of a step's promised gain.
-_POOR, _GOOD = 0.5, 0.75
 # Of the decrease that the slope at a step's start predicts; a quadratic of the step's own length
 # has 50 % of it.
 _STILL_STEEP = 0.75
@@ -79,34 +81,6 @@ def settle(sheet: Sheet, state: SheetState, accuracy: Accuracy) -> SheetState:
     return _settled(_Descent(sheet, state, accuracy))
 
 
-@dataclass(frozen=True)
-class _Damping:
-    """Damping that makes a tangent positive definite: viscosity, kPa/mm, and convex tangents."""
-
-    viscosity: float = 0.0
-    #: number of further steps with a convex tangent
-    convex_steps: int = 0
-    #: number of convex steps after the last indefinite tangent
-    last_convex_steps: int = 0
-
-    @property
-    def convex(self) -> bool:
-        """Whether the next tangent is convex."""
-        return self.convex_steps > 0
-
-    def times(self, factor: float) -> "_Damping":
-        """Return the damping with the viscosity multiplied by `factor`."""
-        return replace(self, viscosity=factor * self.viscosity)
-
-    def convexified(self) -> "_Damping":
-        """Return the damping with a convex tangent for twice as many steps as the last time.
-
-        The number of steps is at least 1 and at most `_MOST_CONVEX_STEPS`.
-        """
-        steps = min(max(2 * self.last_convex_steps, 1), _MOST_CONVEX_STEPS)
-        return replace(self, convex_steps=steps, last_convex_steps=steps)
-
-
 @dataclass(eq=False)
 class _Descent:
     """A sheet during the descent, and the results of the last step."""
@@ -117,7 +91,7 @@ class _Descent:
     control_mm: FloatArray = field(init=False)
     #: evaluation that the sheet's forces and tangent belong to
     now: Evaluation = field(init=False)
-    damping: _Damping = field(init=False, default=_Damping())
+    damping: Damping = field(init=False, default=Damping())
     #: the last factors and their tangent are used for the next step
     serves: bool = field(init=False, default=False)
     #: the last factors are tried as preconditioner of the next tangent
@@ -134,7 +108,7 @@ class _Descent:
 
     def __post_init__(self) -> None:
         if self.accuracy.starts_convex:
-            self.damping = _Damping().convexified()
+            self.damping = Damping().convexified()
         self.move(self.state.control_mm)
 
     @property
@@ -187,7 +161,7 @@ class _Descent:
         self.damping = _definite(self, self.damping)
         step = self.sheet.newton_step_mm()
         if self.damping.viscosity and np.abs(step).max() > _LARGEST_MOVE_MM:  # nearly indefinite
-            self.damping = _definite(self, self.damping.times(_GROWTH))
+            self.damping = _definite(self, self.damping.times(GROWTH))
             step = self.sheet.newton_step_mm()
         # A path of equilibria would depend on the error of such a solution.
         is_free = slips(self.sheet, self.state.pressure_kpa)
@@ -209,7 +183,7 @@ class _Descent:
             most_kpa *= _SERVE_LONGER
         unhindered = self.viscosity == 0 and self.share == 1.0 and not self.kept
         self.serves = unhindered and converges and self.residual_kpa < most_kpa
-        viscosity = _adapted(self.viscosity, self.share, self.gain)
+        viscosity = adapted(self.viscosity, self.share, self.gain)
         self.damping = replace(self.damping, viscosity=viscosity)
 
 
@@ -307,61 +281,24 @@ def slips(sheet: Sheet, pressure_kpa: float) -> bool:
     return not sheet.sticks and not sheet.laws.tack and pressure_kpa > 0
 
 
-def _definite(descent: _Descent, damping: _Damping) -> _Damping:
+def _definite(descent: _Descent, damping: Damping) -> Damping:
     """Factorise the exact tangent or, if it is not positive definite, a convex one.
 
     Return the damping that was used.
     """
     once = slips(descent.sheet, descent.state.pressure_kpa)
     if not damping.convex:
-        viscosity = _exact(descent.sheet, damping, once=once)
+        viscosity = exact_viscosity(descent.sheet, damping, once=once)
         if viscosity is not None:
-            return _Damping(viscosity)
+            return Damping(viscosity)
         descent.sheet.evaluate(descent.control_mm, descent.state, tangent=True, convex=True)
-        damping = damping.convexified() if once else _Damping(convex_steps=1)
-    viscosity = max(damping.viscosity, _LEAST_VISCOSITY)
+        damping = damping.convexified() if once else Damping(convex_steps=1)
+    viscosity = max(damping.viscosity, LEAST_VISCOSITY)
     while not descent.sheet.factorise(viscosity):
-        viscosity *= _GROWTH
-        if viscosity > _MOST_VISCOSITY:
+        viscosity *= GROWTH
+        if viscosity > MOST_VISCOSITY:
             raise SolverError("sheet: no direction lowers its energy")
     return replace(damping, viscosity=viscosity, convex_steps=damping.convex_steps - 1)
-
-
-def _exact(sheet: Sheet, damping: _Damping, *, once: bool) -> float | None:
-    """Factorise the exact tangent plus a viscosity; return the viscosity, None without success.
-
-    The viscosity is increased up to `_CONVEX_FROM`. Only one value is tried if `once` is True, or
-    if an earlier tangent was indefinite: the viscosity that the worst point of such a sheet needs
-    would slow the whole sheet.
-    """
-    viscosity = max(damping.viscosity, _GROWTH) if damping.last_convex_steps else damping.viscosity
-    if once or damping.last_convex_steps:
-        return viscosity if sheet.factorise(viscosity) else None
-    # A reduced viscosity that is too low is nearly sufficient; more makes short steps for long.
-    growth = float(np.sqrt(_GROWTH)) if viscosity else _GROWTH**2
-    while not sheet.factorise(viscosity):
-        viscosity = max(growth * viscosity, _LEAST_VISCOSITY)
-        if viscosity > _CONVEX_FROM:
-            return None
-    return viscosity
-
-
-def _adapted(viscosity: float, share: float, gain: float) -> float:
-    """Return the viscosity of the next step, as in the method of Levenberg and Marquardt.
-
-    It decreases after a step as good as predicted. It increases after a shortened or a poor step.
-
-    Parameters
-    ----------
-    share : fraction of the last step that was made
-    gain : decrease of the energy in that step over the predicted decrease
-    """
-    if share < 1:
-        return max(viscosity, _LEAST_VISCOSITY / 2) * min(_GROWTH, 2 / max(share, 1 / _GROWTH))
-    if gain < _POOR:
-        return 2 * viscosity
-    less = viscosity if gain < _GOOD else viscosity / _GROWTH
-    return 0.0 if less < _LEAST_VISCOSITY / 4 else less
 
 
 # ---- line search -----------------------------------------------------------------------------

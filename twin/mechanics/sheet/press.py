@@ -58,7 +58,9 @@ _BETWEEN = Accuracy(step_mm=5e-3, residual_kpa=1.0, most_steps=40, strict=False)
 # equilibrium there, the finest cells start inside the specimen.
 _BETWEEN_STUCK = replace(_BETWEEN, most_steps=150)
 _FINE = Accuracy(residual_kpa=2e-3, most_steps=200, anchors_from_mm=0.03)
-# Of the contact pressure: a touch by some um has less than 0.01 kPa. Rounding is below the limit.
+# A touch by some um has a contact pressure below 0.01 kPa. From its equilibrium a few more steps
+# follow, to a share of this pressure; on very fine cells rounding may not allow it.
+_LIGHT = replace(_FINE, most_steps=6, strict=False)
 _OF_THE_PRESSURE, _LEAST_RESIDUAL_KPA = 0.01, 1e-4
 _FORCE_TOLERANCE, _FORCE_STEPS = 1e-3, 40
 # Travel below which a specimen only touches: 0.5 % of a step of the load.
@@ -336,7 +338,7 @@ def _finest(fine: Sheet, start: SheetState) -> tuple[Sheet, SheetState]:
     equilibrium = settle(fine, start, accuracy)
     residual_kpa = max(_OF_THE_PRESSURE * _largest_kpa(fine, equilibrium), _LEAST_RESIDUAL_KPA)
     if residual_kpa < accuracy.residual_kpa:
-        equilibrium = settle(fine, equilibrium, replace(accuracy, residual_kpa=residual_kpa))
+        equilibrium = settle(fine, equilibrium, replace(_LIGHT, residual_kpa=residual_kpa))
     check_thickness(fine, equilibrium)
     return fine, equilibrium
 
