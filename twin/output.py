@@ -65,8 +65,7 @@ def output_folder(target: Path, inputs: Iterable[Path] = ()) -> Iterator[Path]:
         input
     OSError : the disk is full
     """
-    real = _checked_place(target, inputs)
-    _refuse_foreign(target, real)
+    real = check_output(target, inputs)
     with ExitStack() as stack:
         with _naming_target(target):
             stack.callback(_remove_empty, _make_folders(real if real.is_dir() else real.parent))
@@ -77,6 +76,20 @@ def output_folder(target: Path, inputs: Iterable[Path] = ()) -> Iterator[Path]:
             yield folder
         with _naming_target(target):
             _publish(folder, real)
+
+
+def check_output(target: Path, inputs: Iterable[Path] = ()) -> Path:
+    """Return `target` with links resolved, after the checks of `output_folder`.
+
+    A command that computes for long calls it first.
+
+    Raises
+    ------
+    InputError : for the reasons of `output_folder`, except that the place cannot be written
+    """
+    real = _checked_place(target, inputs)
+    _refuse_foreign(target, real)
+    return real
 
 
 @contextmanager

@@ -38,6 +38,7 @@ _OTHER_UNITS = {
     **{name: {"turns": 1 / (2 * np.pi), "degrees": 180 / np.pi} for name in PHASES},
 }
 """Values of one rad or one mm in the units that predictions have by mistake."""
+_LARGEST = float(np.finfo(np.float32).max)
 _LIKE, _FAR = 0.02, 30.0
 """A prediction has another unit if its ratio to the truth is that of the unit to within 2 %, or
 beyond 30 in either direction. Assumed: a useful depth or phase is never so wrong."""
@@ -170,8 +171,8 @@ class PredictionScore:
         present = [quantity for quantity in self.names if quantity in sample.arrays]
         if not set(present) <= set(predicted):
             self.without_prediction.append(sample.key)
-        targets = int(target_pixels(sample).sum())
         for quantity in present:
+            targets = int(target_pixels(sample).sum())
             shape = sample.arrays[quantity].shape
             given = predicted.get(quantity, np.full(shape, np.nan, np.float32))
             errors = error_map(sample, quantity, given)
@@ -255,10 +256,9 @@ class UnitCheck:
 
     def add(self, sample: LabelledSample, predicted: Mapping[str, Array]) -> None:
         """Add the predictions of one sample; normals have no unit."""
-        target = target_pixels(sample)
         for quantity in _UNITS.keys() & predicted.keys() & sample.arrays.keys():
             given, truth = predicted[quantity], sample.arrays[quantity]
-            usable = target & np.isfinite(given) & (truth != 0)
+            usable = target_pixels(sample) & np.isfinite(given) & (truth != 0)
             if usable.any():
                 ratio = np.median(given[usable].astype(np.float64) / truth[usable])
                 self.ratios.setdefault(quantity, []).append(float(ratio))
@@ -328,7 +328,9 @@ def score_predictions(
 def _prediction_files(folder: Path) -> dict[str, dict[str, Path]]:
     """Return the prediction files by key and quantity."""
     files: dict[str, dict[str, Path]] = {}
-    for path in sorted(folder.glob("*.npy")) if folder.is_dir() else ():
+    if not folder.is_dir():
+        raise InputError(f"{folder}: is no folder; give a folder with files KEY.QUANTITY.npy")
+    for path in sorted(folder.glob("*.npy")):
         key, _, name = path.name.removesuffix(".npy").partition(".")
         quantity = name or _DEPTH
         if quantity not in SCORED:
@@ -342,12 +344,19 @@ def _prediction_files(folder: Path) -> dict[str, dict[str, Path]]:
 
 
 def _read_prediction(path: Path) -> Array:
+    content = read_bytes(path)
     try:
-        values = npy(read_bytes(path))
+        values = npy(content)
     except ValueError as error:
         raise InputError(f"{path}: is no .npy file of numbers ({error})") from None
     if values.dtype.kind not in "fiub":
         raise InputError(f"{path}: is no .npy file of numbers (it has the type {values.dtype})")
+    largest = np.abs(values[np.isfinite(values)]).max(initial=0)
+    if largest > _LARGEST:
+        raise InputError(
+            f"{path}: found {float(largest):.3g}, allowed up to {_LARGEST:.3g}; give NaN at pixels "
+            "without prediction"
+        )
     return values
 
 

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.errors import InputError
+from reconstruction.errors import InputError, one_line
 from reconstruction.reading import read_json
 
 SAMPLE_JSON, SCHEMA_JSON = "sample.json", "schema.json"
@@ -127,7 +127,9 @@ def read_samples(
         except InputError:
             raise
         except (OSError, ValueError, KeyError, tarfile.TarError) as error:
-            raise InputError(f"{shard}: damaged ({error}); make the data set again") from None
+            raise InputError(
+                f"{shard}: damaged ({one_line(error)}); make the data set again"
+            ) from None
 
 
 def _shards(dataset: Path, split: str) -> list[Path]:
@@ -136,6 +138,7 @@ def _shards(dataset: Path, split: str) -> list[Path]:
 
 def _from_tar(shard: Path, names: Collection[str], rig: str) -> Iterator[LabelledSample]:
     wanted = {f"{name}{_NPY}" for name in names} | {SAMPLE_JSON, rig}
+    _require_end(shard)
     with tarfile.open(shard, "r:") as tar:
         for key, members in groupby(tar, lambda member: member.name.partition(".")[0]):
             read = {}
@@ -148,6 +151,14 @@ def _from_tar(shard: Path, names: Collection[str], rig: str) -> Iterator[Labelle
             calibration = json.loads(read.pop(rig, b"{}"))
             arrays = {name.removesuffix(_NPY): npy(content) for name, content in read.items()}
             yield LabelledSample(key, described, arrays, calibration)
+
+
+def _require_end(shard: Path) -> None:
+    """Check that a tar file has its end: one that was cut between two members looks complete."""
+    with shard.open("rb") as file:
+        file.seek(-min(2 * tarfile.BLOCKSIZE, shard.stat().st_size), io.SEEK_END)
+        if file.read() != bytes(2 * tarfile.BLOCKSIZE):
+            raise tarfile.ReadError("the end of the file is missing")
 
 
 def npy(content: bytes) -> NDArray[Any]:

@@ -126,6 +126,10 @@ def test_wrong_orders_are_counted(dataset, tmp_path) -> None:
     ("named", "message"),
     [
         ({}, "found no predictions"),
+        (
+            {"k00": np.full(SHAPE, 1e300)},
+            r"00\.npy: found 1e\+300, allowed up to 3\.4e\+38; give NaN",
+        ),
         ({"k00": np.zeros((3, 3))}, r"found the shape \(3, 3\), allowed \(12, 16\)"),
         ({"k99": np.zeros(SHAPE)}, "no file belongs to a sample"),
         ({"k00__height": np.zeros(SHAPE)}, "found 'height', allowed depth_mm"),
@@ -155,6 +159,24 @@ def test_a_prediction_that_is_no_array(dataset, tmp_path) -> None:
     (tmp_path / "p" / "00.npy").write_bytes(npy(np.array(["text"])))
     with pytest.raises(InputError, match=r"is no \.npy file of numbers"):
         score_predictions(tmp_path / "p", dataset)
+
+
+def test_predictions_are_files_of_a_folder(dataset, tmp_path) -> None:
+    with pytest.raises(InputError, match="none: is no folder; give a folder"):
+        score_predictions(tmp_path / "none", dataset)
+    (tmp_path / "p" / "00.npy").mkdir(parents=True)
+    with pytest.raises(InputError, match=r"00\.npy: cannot be read: found a folder"):
+        score_predictions(tmp_path / "p", dataset)
+
+
+def test_a_shard_that_was_cut_between_two_samples_is_damaged(dataset, tmp_path) -> None:
+    """Such a file has whole members only: without its end it looked like a smaller data set."""
+    shard = dataset / "test-000000.tar"
+    with tarfile.open(shard) as tar:
+        starts = [member.offset for member in tar if member.name.startswith("01.")]
+    shard.write_bytes(shard.read_bytes()[: starts[0]])
+    with pytest.raises(InputError, match=r"damaged \(the end of the file is missing\)"):
+        score_predictions(predict(tmp_path / "p", k00=truth()["depth_mm"]), dataset)
 
 
 def test_a_damaged_shard_is_named(dataset, tmp_path) -> None:

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from reconstruction.evaluate.methods import DataSetScore
+    from twin.config.dataset import SampleContent
     from twin.dataset.draws import SampleDraw
 
 _MOST_REASONS, _MOST_OBJECTS = 10, 20
@@ -60,14 +61,16 @@ def dataset(
     from twin.config.dataset import load_recipe
     from twin.dataset.make import draw_all, pack, take_samples, work_folder
     from twin.dataset.shards import arrow
+    from twin.output import check_output
     from twin.report.dataset_card import write_card
 
     loaded, bases = load_recipe(recipe)
     arrow("twin dataset")
     draws = draw_all(loaded, bases, samples)
     if dry_run:
-        return _print_plan(draws)
+        return _print_plan(draws, loaded.sample)
     work = work_folder(out)
+    check_output(out, [recipe])
     with progress_bars() as watch:
         outcome = take_samples(
             loaded,
@@ -88,19 +91,21 @@ def dataset(
     return FAILURE if packed.failures else 0
 
 
-def _print_plan(draws: "Sequence[SampleDraw]") -> int:
+def _print_plan(draws: "Sequence[SampleDraw]", content: "SampleContent") -> int:
     """Print the samples by scene and split, and the reasons of invalid draws and experiments."""
+    from twin.dataset.methods import cases_by_method
     from twin.study.measurable import unmeasurable
 
     cases = [draw.case for draw in draws if draw.case is not None]
     reasons = [draw.reason for draw in draws if draw.case is None]
     failed = {reason: reasons.count(reason) for reason in reasons}
-    failed |= {reason: len(some) for reason, some in unmeasurable(cases).items()}
+    for some in cases_by_method(cases, content):
+        failed |= {reason: len(unable) for reason, unable in unmeasurable(some).items()}
     rows = [(draw.scene, draw.split) for draw in draws if draw.case is not None]
     table = [(*row, str(rows.count(row))) for row in sorted(set(rows))]
     print_table(("scene", "split", "samples"), table)
     _print_reasons(failed)
-    return BAD_INPUT if sum(failed.values()) == len(draws) else 0
+    return BAD_INPUT if sum(failed.values()) >= len(draws) else 0
 
 
 def _print_reasons(failures: dict[str, int]) -> None:

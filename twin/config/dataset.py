@@ -4,6 +4,7 @@ Shipped recipes are in `scenes/datasets`; `docs/datasets.md` explains every key.
 are those of a study: its axes, each drawn uniformly over its levels or its range, and its inputs.
 """
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -42,9 +43,7 @@ class RecipeScene(Model):
 class SampleContent(Model):
     """[sample]: what every sample of a data set contains."""
 
-    hold: Annotated[tuple[str, ...], Field(min_length=1)] = Field(
-        description="names of quantities, see docs/datasets.md"
-    )
+    hold: tuple[str, ...] = Field(description="names of quantities, see docs/datasets.md")
     frames: Literal["npy", "png"] = Field(
         default="npy",
         description="frames as one array, or as one PNG file each (only format = 'webdataset')",
@@ -85,7 +84,7 @@ class Recipe(Model):
     name: Name
     description: str = ""
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
-    scene: Annotated[tuple[RecipeScene, ...], Field(min_length=1, max_length=64)]
+    scene: Annotated[tuple[RecipeScene, ...], Field(max_length=64)]
     axis: tuple[Axis, ...] = Field(default=(), description="[[axis]]: drawn quantities of all")
     inputs_file: str = Field(
         default="", description="file of inputs, or a shipped one; [inputs] override it"
@@ -110,12 +109,18 @@ class Recipe(Model):
 
     @model_validator(mode="after")
     def _whole(self) -> "Recipe":
+        # Not `min_length`: with one invalid scene, it would report in addition that there is none.
+        if not self.scene or not self.sample.hold:
+            missing = "sample.hold" if self.scene else "scene"
+            raise ValueError(f"{missing}: found none, allowed one or more")
         names = [scene.name for scene in self.scene]
         if twice := _repeated(names):
             raise ValueError(f"scene: found the name {twice[0]} twice; rename one")
         for scene in self.scene:
             if twice := _repeated([axis.title for axis in self.axes_of(scene)]):
                 raise ValueError(f"axis: found {twice[0]} twice in scene {scene.name}; rename one")
+            for axis in self.axes_of(scene):
+                _require_whole_number(axis)
         if twice := _repeated(list(self.sample.hold)):
             raise ValueError(f"sample.hold: found {twice[0]} twice; remove one")
         if len(self.sample.methods) == 1 or _repeated(list(self.sample.methods)):
@@ -137,6 +142,17 @@ class Recipe(Model):
         material that one of them selects.
         """
         return (*scene.axis, *self.axis)
+
+
+def _require_whole_number(axis: Axis) -> None:
+    if axis.integer and axis.is_continuous:
+        assert axis.low is not None  # the validator's
+        assert axis.high is not None
+        if math.ceil(axis.low) > math.floor(axis.high):
+            raise ValueError(
+                f"axis: {axis.title}: found no whole number from {axis.low:g} to {axis.high:g}; "
+                "widen the range, or remove integer"
+            )
 
 
 def _repeated(names: Sequence[str]) -> list[str]:

@@ -18,8 +18,7 @@ from reconstruction.evaluate.baselines import needs_of, predicted_by
 from reconstruction.evaluate.samples import CALIBRATION_JSON, SPLITS, npy
 from reconstruction.writing import write_bytes, write_text
 from twin.config import Experiment
-from twin.config.dataset import Recipe
-from twin.config.methods import Method
+from twin.config.dataset import Recipe, SampleContent
 from twin.dataset.draws import SampleDraw, draw_sample
 from twin.dataset.methods import check_content
 from twin.dataset.quantities import quantity_of
@@ -30,7 +29,8 @@ from twin.dataset.shards import (
     arrow,
     write_shards,
 )
-from twin.dataset.taking import SAMPLE_FOLDER, SampleMeasurer, SampleMeasuring
+from twin.dataset.stored import stored_files
+from twin.dataset.taking import SampleMeasurer, SampleMeasuring
 from twin.output import output_folder, write_json, write_outcome
 from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.results.figures import Metrics
@@ -175,10 +175,11 @@ def pack(
 
     Raises
     ------
-    InputError : `out` cannot be written, no sample has a result, or pyarrow is not installed
+    InputError : `out` cannot be written, no sample has a result, a stored sample is damaged, or
+        pyarrow is not installed
     """
     arrow(INDEX_PARQUET)
-    samples, rows = _packed(draws, Store(work), recipe.sample.methods)
+    samples, rows = _packed(draws, Store(work), recipe.sample)
     if not samples:
         reasons = "; ".join(dict.fromkeys(str(row["reason"]) for row in rows))
         raise InputError(f"{out}: no sample has a result: {reasons}")
@@ -204,10 +205,10 @@ def pack(
 
 
 def _packed(
-    draws: Sequence[SampleDraw], store: Store, methods: tuple[Method, ...]
+    draws: Sequence[SampleDraw], store: Store, content: SampleContent
 ) -> tuple[list[PackedSample], list[dict[str, Any]]]:
     """Return the samples that have a result, and a row for each drawn sample."""
-    entries = Index(store).entries()
+    entries, methods = Index(store).entries(), content.methods
     samples, rows = [], []
     for draw in draws:
         row: dict[str, Any] = {
@@ -223,22 +224,18 @@ def _packed(
         row |= {"methods": ", ".join(methods)} if methods else {}
         row |= {f"{DRAWN}{name}": value for name, value in draw.settings.items()}
         entry = None if draw.case is None else entries.get(draw.case.digest)
-        if entry is not None and entry.state == "done":
+        if draw.case is not None and entry is not None and entry.state == "done":
             folder = store.path_of(entry.digest)
+            files = stored_files(folder, content, draw.case.experiment)
             described = _described(draw, entry.figures)
             described |= {"methods": list(methods)} if methods else {}
-            samples.append(PackedSample(draw.key, draw.split, _files(folder), described))
+            samples.append(PackedSample(draw.key, draw.split, files, described))
             row |= {"state": "done"}
             row |= {f"{FIGURE}{name}": value for name, value in _plain(entry.figures).items()}
         elif draw.case is not None:
             row["reason"] = "was not computed" if entry is None else entry.reason
         rows.append(row)
     return samples, rows
-
-
-def _files(folder: Path) -> dict[str, Path]:
-    files = {path.name: path for path in sorted((folder / SAMPLE_FOLDER).iterdir())}
-    return files | {EXPERIMENT_TOML: folder / EXPERIMENT_TOML}
 
 
 def _described(draw: SampleDraw, figures: Metrics) -> dict[str, Any]:

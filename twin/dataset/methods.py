@@ -6,7 +6,7 @@ begin with the method, as in `contact_fpp_depth_mm`.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from reconstruction.errors import InputError
 from twin.config import Experiment, vary
@@ -15,6 +15,7 @@ from twin.config.loading import by_method
 from twin.config.methods import Method
 from twin.dataset.quantities import check_held, check_known, held_by
 from twin.results.figures import Metric, Metrics
+from twin.study.cases import Case
 
 
 @dataclass(frozen=True)
@@ -61,6 +62,15 @@ def parts_of(content: SampleContent, experiment: Experiment) -> tuple[MethodPart
     return tuple(
         MethodPart(each, held_by(content.hold, each), f"{each.modality}_") for each in experiments
     )
+
+
+def cases_by_method(cases: Sequence[Case], content: SampleContent) -> list[list[Case]]:
+    """Return a list of all samples for each method of a sample, with the method's experiments."""
+    parts = [parts_of(content, case.experiment) for case in cases]
+    return [
+        [replace(case, experiment=part.experiment) for case, part in zip(cases, each, strict=True)]
+        for each in zip(*parts, strict=True)
+    ]
 
 
 def _measured_by(method: Method, experiment: Experiment) -> Experiment:
