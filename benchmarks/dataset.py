@@ -11,7 +11,8 @@
   `--quick`) at random moments: the shards must have the same bytes;
 - Kolmogorov-Smirnov tests of 2000 drawn values of a uniform, a log-uniform and a normal quantity.
 
-The 300 scenes take 40 GB of disk; `--scenes` takes fewer and scales the time. The first samples,
+The 300 scenes take 40 GB of disk in TMPDIR, which are removed at the end, and all parts together
+about 15 minutes on two idle cores; `--scenes` takes fewer and scales the time. The first samples,
 which compile kernels, are not counted. Last line:
 {"samples_per_hour_direct": ..., "samples_per_hour_sheet": ..., "images_per_s": ...,
 "write_share": ..., "resume_equal": true, "fpp_ml_bench_minutes": ..., ...}.
@@ -35,6 +36,7 @@ from twin.config.dataset import Recipe, load_recipe
 from twin.dataset.draws import levels_of
 from twin.dataset.make import draw_all, pack, take_samples
 from twin.dataset.taking import SampleMeasurer
+from twin.pipeline.progress import ProgressCallback
 from twin.study.measuring import NOMINAL_CONDITIONS, CaseResult, Conditions
 from twin.study.trials import drawn_values
 from twin.study.workers import default_count, lasting, local_workers
@@ -70,7 +72,33 @@ DIRECT_SIZE = {"binning": 4, "width_px": 1936, "height_px": 1464}
 SMALL_SIZE = {"binning": 4, "width_px": 320, "height_px": 240}
 ML_SIZE = {"binning": 1, "width_px": 960, "height_px": 960, "bit_depth": 8}
 ML_SCENES, LEAST_P = 300, 0.01
+SCENE_GB = 0.132
+"""Disk of a large scene, store and shard: 53 frames of 1 byte, depth, normals and two masks."""
 _computing_s = 0.0
+
+
+def progress(part: str) -> ProgressCallback:
+    """Return a function that prints the progress of a part in steps of a tenth."""
+    shown: set[tuple[str, int]] = set()
+
+    def watch(stage: str, share: float) -> None:
+        tenth = (stage, int(10 * share))
+        if tenth not in shown:
+            shown.add(tenth)
+            print(f"{part}: {stage} {10 * tenth[1]} %", flush=True)
+
+    return watch
+
+
+def require_room(scratch: Path, scenes: int) -> None:
+    """End the program with one line if the disk has too little room for so many large scenes."""
+    needed_gb = SCENE_GB * (scenes + 2 * default_count()) + 3.0
+    free_gb = shutil.disk_usage(scratch).free / 1e9
+    if free_gb < needed_gb:
+        sys.exit(
+            f"bench dataset: {scratch}: {free_gb:.0f} GB free, {needed_gb:.0f} needed; set TMPDIR "
+            "to a larger disk, or give fewer --scenes"
+        )
 
 
 def recipe_text(base: str, size: Mapping[str, int], more: str) -> str:
@@ -105,10 +133,12 @@ def make(text: str, folder: Path, count: int) -> dict[str, float]:
     take_samples(recipe, draws[:1], work, local_workers(1))
     _computing_s, start = 0.0, time.perf_counter()
     processor_s = time.process_time()
-    take_samples(recipe, draws, work, local_workers(1), measurer=TimedMeasurer)
-    packed = pack(recipe, bases, draws, work, folder / "set")
+    watch = progress(folder.name)
+    take_samples(recipe, draws, work, local_workers(1), watch=watch, measurer=TimedMeasurer)
+    packed = pack(recipe, bases, draws, work, folder / "set", watch=watch)
     total_s = time.perf_counter() - start
     assert len(packed.samples) == count + 1, packed.failures
+    shutil.rmtree(folder)  # the next part needs the room
     return {
         "total_s": total_s,
         "computing_s": _computing_s,
@@ -130,10 +160,12 @@ def make_by_workers(text: str, folder: Path, count: int) -> dict[str, float]:
     with lasting(local_workers(default_count())) as workers:
         take_samples(recipe, draws[:first], work, workers)
         start = time.perf_counter()
-        take_samples(recipe, draws, work, workers)
-        packed = pack(recipe, bases, draws, work, folder / "set")
+        watch = progress(folder.name)
+        take_samples(recipe, draws, work, workers, watch=watch)
+        packed = pack(recipe, bases, draws, work, folder / "set", watch=watch)
         total_s = time.perf_counter() - start
     assert len(packed.samples) == count + first, packed.failures
+    shutil.rmtree(folder)
     frames = sum(int(sample.described["figures"]["frames"]) for sample in packed.samples[first:])
     return {"total_s": total_s, "frames": frames, "samples": count}
 
@@ -171,6 +203,7 @@ def killed_and_resumed(scratch: Path, kills: int, count: int) -> dict[str, Any]:
             os.killpg(run.pid, signal.SIGKILL)
             run.wait()
             done += 1
+            print(f"killed: {done} of {kills}", flush=True)
             continue
         for folder in ("killed", "killed.work"):  # the run has ended before: begin again
             shutil.rmtree(scratch / folder)
@@ -229,6 +262,7 @@ def main() -> int:
     scenes = options.scenes or (8 if options.quick else ML_SCENES)
     with tempfile.TemporaryDirectory() as name:
         scratch = Path(name)
+        require_room(scratch, scenes)
         few = 4 if options.quick else 40
         figures: dict[str, Any] = {"least_ks_p": least_p(scratch)}
         direct = make(recipe_text("examples/gauges", DIRECT_SIZE, RELIEF), scratch / "direct", few)
