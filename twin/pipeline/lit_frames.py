@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from reconstruction.arrays import FloatImage
+from reconstruction.arrays import FloatArray, FloatImage
 from reconstruction.errors import InputError
 from twin.config import digest
 from twin.config.digest import content_digest
@@ -20,7 +20,7 @@ from twin.optics.checks import check_direct_engine, check_motion
 from twin.optics.session import renderer_session
 from twin.optics.stack import RadianceStack
 from twin.pipeline.memory import CachedResult, Memory
-from twin.pipeline.press import PressedFace, glinting_material_mm, press
+from twin.pipeline.press import PressedFace, material_mm, press
 
 if TYPE_CHECKING:
     from twin.optics.one_trace import Patches
@@ -73,8 +73,7 @@ def loaded(
 
     if pressed is None:
         return memory.recall("geometry", experiment, (), trace.load_bare)
-    material_mm = glinting_material_mm(experiment, pressed.pressed)
-    attributes = {} if material_mm is None else {MATERIAL_MM: material_mm}
+    attributes = _attributes(experiment, pressed)
     return memory.recall(
         "geometry",
         experiment,
@@ -83,6 +82,11 @@ def loaded(
             watched, replace(face_grid(pressed.pressed), vertex_attributes=attributes)
         ),
     )
+
+
+def _attributes(experiment: Experiment, pressed: PressedFace) -> dict[str, FloatArray]:
+    material = material_mm(experiment, pressed.pressed)
+    return {} if material is None else {MATERIAL_MM: material}
 
 
 def viewed(
@@ -183,7 +187,9 @@ def _lit_in_motion(
         from twin.pipeline import moving
 
     def face_at(time_s: float) -> FaceGrid:
-        return face_grid(press(elastic_at(experiment, time_s), Memory()).pressed)
+        then = elastic_at(experiment, time_s)
+        pressed = press(then, Memory())
+        return replace(face_grid(pressed.pressed), vertex_attributes=_attributes(then, pressed))
 
     # A press at another time reads further fields of the experiment, which identify the frames.
     inputs = view.token if geometry.value.face is None else (view.token, digest(experiment))
