@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from reconstruction.arrays import FloatArray, FloatImage
+from reconstruction.arrays import FloatImage
 from reconstruction.errors import InputError
 from twin.config import digest
 from twin.config.digest import content_digest
@@ -73,7 +73,8 @@ def loaded(
 
     if pressed is None:
         return memory.recall("geometry", experiment, (), trace.load_bare)
-    attributes = _attributes(experiment, pressed)
+    material = material_mm(experiment, pressed.pressed)
+    attributes = {} if material is None else {MATERIAL_MM: material}
     return memory.recall(
         "geometry",
         experiment,
@@ -82,11 +83,6 @@ def loaded(
             watched, replace(face_grid(pressed.pressed), vertex_attributes=attributes)
         ),
     )
-
-
-def _attributes(experiment: Experiment, pressed: PressedFace) -> dict[str, FloatArray]:
-    material = material_mm(experiment, pressed.pressed)
-    return {} if material is None else {MATERIAL_MM: material}
 
 
 def viewed(
@@ -187,9 +183,7 @@ def _lit_in_motion(
         from twin.pipeline import moving
 
     def face_at(time_s: float) -> FaceGrid:
-        then = elastic_at(experiment, time_s)
-        pressed = press(then, Memory())
-        return replace(face_grid(pressed.pressed), vertex_attributes=_attributes(then, pressed))
+        return face_grid(press(elastic_at(experiment, time_s), Memory()).pressed)
 
     # A press at another time reads further fields of the experiment, which identify the frames.
     inputs = view.token if geometry.value.face is None else (view.token, digest(experiment))
