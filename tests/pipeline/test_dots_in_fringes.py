@@ -76,7 +76,7 @@ def test_bias_at_the_edge_of_a_dot(recordings, covered, pressed):
     (2 (1 - (1 - r) s)) px of an edge along a pixel's side, 0.19 px for r = 0.2; in z this is
     divided by the tangent of the triangulation angle. Inside the dots there is no bias.
     """
-    experiment, dotted, _ = recordings
+    experiment, _, _ = recordings
     ideal = vary(experiment, {"camera.noise": False})
     exact = record(ideal, pressed)
     points = reconstruct(exact.capture, options_of(ideal.decode)).point_map
