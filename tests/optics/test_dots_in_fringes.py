@@ -24,7 +24,7 @@ SMALL = {
     "patterns.steps": 3,
 }
 DOTS = Markers(pitch_x_mm=2.4, pitch_y_mm=2.0, radius_mm=0.6, relative_albedo=0.2)
-RUNS, SAMPLES = 24, 16
+RUNS, SAMPLES = 12, 16
 
 
 def with_dots(experiment, dots=DOTS):

@@ -130,6 +130,7 @@ def evaluate(
     figures |= predicted_motion_figures(experiment, reconstruction, recording.truth)
     figures["warnings"] += noise_warnings(experiment, noise)
     figures["warnings"] += decoding_warnings(experiment)
+    figures["warnings"] += _dots_warnings(experiment)
     figures["warnings"] += layout_warnings(experiment)
     figures["warnings"] += motion_warnings(experiment, recording.radiance.motion)
     figures["warnings"] += sequence_warnings(experiment, recording.exposure_ms)
@@ -294,6 +295,16 @@ def decoding_warnings(experiment: Experiment) -> list[str]:
             " and standard deviations do not include it; choose a shorter patterns.period_px"
         )
     return warnings
+
+
+def _dots_warnings(experiment: Experiment) -> list[str]:
+    """Return a warning if dots are stated for a bare specimen, which has no coat."""
+    if experiment.method.presses or experiment.photometric.markers is None:
+        return []
+    return [
+        f"photometric.markers has no effect with modality = '{experiment.modality}': dots are "
+        "printed on a coat; remove [photometric.markers], or set modality = 'contact_fpp'"
+    ]
 
 
 def noise_warnings(experiment: Experiment, noise: NoiseFunction | None) -> list[str]:
