@@ -147,7 +147,7 @@ def test_stock_mitsuba_renders_the_same_dots(mi, experiment, bump):
     scene = marched_scene(dotted, face, experiment.coating.bsdf())
     index = patterns.index("phase", "column").start
     ours = trace_stack(scene, rig, tables, 256)[index]
-    bare = trace_stack(scene, replace(rig, dots=None), tables, 256)[index]
+    bare = trace_stack(scene, replace(rig, dots=None), tables, 16)[index]
     canvas = stock.canvas_for(rig, "projector", texels_per_px=16)
     texture = stock.frame_texture(patterns.frames[index], index, rig, tables, canvas)
     bsdf = stock_dots.dotted(experiment.coating.bsdf(), stock_dots.cell_texture(DOTS))

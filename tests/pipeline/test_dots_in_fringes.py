@@ -11,8 +11,10 @@ from twin.config import load_experiment, vary
 from twin.mechanics import material_points
 from twin.optics.checks import check_renderable
 from twin.optics.rig import true_calibration
-from twin.pipeline import measure, record
+from twin.pipeline import Memory, measure, record
 from twin.pipeline.captures import options_of
+from twin.pipeline.lit_frames import albedo
+from twin.pipeline.press import PressedFace
 
 DOTS = {
     "photometric.markers": {
@@ -139,3 +141,16 @@ def test_dots_of_a_bare_specimen_have_a_warning(mi):
     (line,) = (line for line in measured.warnings if "photometric.markers" in line)
     assert line.startswith("photometric.markers has no effect with modality = 'direct_fpp'")
     assert line.endswith("set modality = 'contact_fpp'")
+
+
+def test_labels_of_the_albedo_have_the_dots(recordings, covered, pressed):
+    """Expected: in dots `relative_albedo` of the coat's, outside them the coat's, to float32."""
+    with_dots = recordings[0]
+    without = vary(with_dots, {"photometric.markers": None})
+    of_dots, of_coat = (
+        albedo(experiment, PressedFace.of(pressed), Memory()) for experiment in (with_dots, without)
+    )
+    ratio = of_dots / of_coat
+    r = with_dots.photometric.markers.relative_albedo
+    np.testing.assert_allclose(ratio[covered > 0.999], r, rtol=1e-6)
+    np.testing.assert_allclose(ratio[covered < 0.001], 1.0, rtol=1e-6)
