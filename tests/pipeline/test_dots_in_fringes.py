@@ -13,6 +13,7 @@ from twin.optics.checks import check_renderable
 from twin.optics.rig import true_calibration
 from twin.pipeline import Memory, measure, record
 from twin.pipeline.captures import options_of
+from twin.pipeline.fringes import dots_warnings
 from twin.pipeline.lit_frames import albedo
 from twin.pipeline.press import PressedFace
 
@@ -141,6 +142,14 @@ def test_dots_of_a_bare_specimen_have_a_warning(mi):
     (line,) = (line for line in measured.warnings if "photometric.markers" in line)
     assert line.startswith("photometric.markers has no effect with modality = 'direct_fpp'")
     assert line.endswith("set modality = 'contact_fpp'")
+
+
+def test_edges_of_dots_have_a_warning():
+    """Expected: one line for a coat with dots, none without."""
+    bare = load_experiment("examples/slab_balls")
+    (line,) = dots_warnings(vary(bare, DOTS))
+    assert "standard deviations do not include it; use smaller pixels" in line
+    assert dots_warnings(bare) == []
 
 
 def test_labels_of_the_albedo_have_the_dots(recordings, covered, pressed):
