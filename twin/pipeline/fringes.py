@@ -104,7 +104,7 @@ def measure_fringes(
         with run.clock.stage("object"):
             done = done.with_object()
             figures = {} if further is None else further.result()
-    return replace(done, metrics={**done.metrics, **figures}, seconds=run.clock.seconds)
+    return done.with_same_object(metrics={**done.metrics, **figures}, seconds=run.clock.seconds)
 
 
 def evaluate(
