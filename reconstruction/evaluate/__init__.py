@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from reconstruction.evaluate.baselines import score_baseline
     from reconstruction.evaluate.fit import fit_sphere_algebraic
+    from reconstruction.evaluate.methods import DataSetScore, ScoredMethod, score_dataset
     from reconstruction.evaluate.plane import (
         ArealRoughness,
         BarWidth,
@@ -30,8 +31,10 @@ __all__ = [
     "BallFit",
     "BarWidth",
     "CylinderFit",
+    "DataSetScore",
     "Flatness",
     "PredictionScore",
+    "ScoredMethod",
     "StepHeight",
     "areal_roughness",
     "bar_width",
@@ -41,6 +44,7 @@ __all__ = [
     "fit_sphere_algebraic",
     "flatness",
     "score_baseline",
+    "score_dataset",
     "score_predictions",
     "slope_change_width",
     "step_height",
@@ -48,6 +52,9 @@ __all__ = [
 
 _MODULES = {
     "fit_sphere_algebraic": "fit",
+    "DataSetScore": "methods",
+    "ScoredMethod": "methods",
+    "score_dataset": "methods",
     "ArealRoughness": "plane",
     "BarWidth": "plane",
     "Flatness": "plane",

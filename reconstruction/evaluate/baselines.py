@@ -5,7 +5,7 @@ methods unwrap the phase spatially, which gives fringe orders relative to one pi
 alone they use the true order.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from scipy import ndimage
 from reconstruction.arrays import BoolImage, FloatArray
 from reconstruction.errors import InputError
 from reconstruction.evaluate.predictions import MASKS, PHASES, SCORED, PredictionScore
-from reconstruction.evaluate.samples import LabelledSample, arrays_of, read_samples
+from reconstruction.evaluate.samples import LabelledSample, read_samples, read_schema
 from reconstruction.reduction.fourier import LEAST_FRINGES, find_carrier, side_lobe
 from reconstruction.rig.pinhole import Pinhole
 from reconstruction.spatial_unwrapping import SECOND_DIFFERENCE, unwrap_spatially, wrapped
@@ -47,33 +47,56 @@ class ClassicalMethod:
     predict: Callable[[LabelledSample, str], Array]
 
 
-def score_baseline(name: str, dataset: Path, split: str = "test") -> PredictionScore:
+def score_baseline(
+    name: str,
+    dataset: Path,
+    split: str = "test",
+    method: str = "",
+    quantities: Collection[str] = SCORED,
+) -> PredictionScore:
     """Score a classical method of `BASELINES` against a data set that contains its input.
+
+    Parameters
+    ----------
+    split : "train", "validation", "test" or "all"
+    method : method of measurement; empty for a data set of one
+    quantities : those of `SCORED` that are scored, if the method predicts them
 
     Raises
     ------
-    InputError : the method is not known, the data set lacks its input or the truth, or a sample is
-        not suited to the method
+    InputError : the classical method is not known, the data set lacks its input or the truth, or a
+        sample is not suited to it
+    """
+    held = read_schema(dataset).arrays_of(method)
+    scored = tuple(quantity for quantity in predicted_by(name, held) if quantity in quantities)
+    needs = BASELINES[name].inputs
+    if not scored:
+        raise InputError(f"{dataset}: --baseline {name} needs {needs_of(name)} in sample.hold")
+    inputs = {array for quantity in scored for array in needs[quantity]}
+    result = PredictionScore(scored)
+    for sample in read_samples(dataset, split, {*scored, *inputs, *MASKS}, method):
+        able = [q for q in scored if {*needs[q]} <= sample.arrays.keys()]
+        result.add(sample, {q: BASELINES[name].predict(sample, q) for q in able})
+    return result
+
+
+def predicted_by(name: str, held: Collection[str]) -> tuple[str, ...]:
+    """Return the quantities that a classical method predicts from the arrays of a sample.
+
+    Raises
+    ------
+    InputError : the classical method is not known
     """
     if name not in BASELINES:
         raise InputError(f"--baseline: found '{name}', allowed: {', '.join(BASELINES)}")
-    held = arrays_of(dataset)
-    method = BASELINES[name]
-    scored = tuple(
-        quantity
-        for quantity, needed in method.inputs.items()
-        if quantity in held and {*needed} <= {*held}
-    )
-    if not scored:
-        choices = "; or ".join(
-            f"{quantity} with {', '.join(needed)}" for quantity, needed in method.inputs.items()
-        )
-        raise InputError(f"{dataset}: --baseline {name} needs {choices}; add them to sample.hold")
-    inputs = {array for quantity in scored for array in method.inputs[quantity]}
-    result = PredictionScore(scored)
-    for sample in read_samples(dataset, split, {*scored, *inputs, *MASKS}):
-        result.add(sample, {q: method.predict(sample, q) for q in scored})
-    return result
+    inputs = BASELINES[name].inputs.items()
+    return tuple(q for q, needed in inputs if q in held and {*needed} <= {*held})
+
+
+def needs_of(name: str) -> str:
+    """Return the arrays that a classical method needs, in words."""
+    inputs = BASELINES[name].inputs.items()
+    return "; or ".join(f"{quantity} with {', '.join(needed)}" for quantity, needed in inputs)
 
 
 def _decoded(sample: LabelledSample, quantity: str) -> Array:

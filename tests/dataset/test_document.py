@@ -4,7 +4,10 @@ import importlib.util
 import json
 import subprocess
 import sys
+from collections.abc import Sequence
+from pathlib import Path
 
+import h5py
 import numpy as np
 import pyarrow.parquet
 import pytest
@@ -60,20 +63,6 @@ def test_every_key_of_a_recipe_has_a_meaning_or_is_on_the_page() -> None:
     assert [key.path for key in keys if key not in named] == []
 
 
-def test_the_loader_of_the_page(made: MadeSet) -> None:
-    names: dict = {}
-    exec(block_of("import io").text, names)
-    read = {
-        key: sample
-        for shard in sorted(made.folder.glob("*.tar"))
-        for key, sample in names["samples"](shard, {"depth_mm", "order_column"})
-    }
-    assert len(read) == COUNT - 1
-    for sample in read.values():
-        assert sample["depth_mm"].shape == (60, 80)
-        assert sample["order_column"].dtype == np.int16
-
-
 def test_loaders_of_other_packages(made: MadeSet, tmp_path, monkeypatch) -> None:
     """The blocks run where the packages are installed; else their names are checked."""
     monkeypatch.chdir(tmp_path)
@@ -119,65 +108,81 @@ def test_shipped_recipes_are_on_the_page_and_draw_valid_experiments(name: str) -
     assert unmeasurable([draw.case for draw in draws]) == {}
 
 
-_READERS = {
-    "webdataset": """
-exec(loader)
-for shard in sorted(folder.glob("*.tar")):
-    for key, sample in samples(shard, names):
-        read[key] = sample
-""",
-    "hdf5": """
-import h5py
-for shard in sorted(folder.glob("test-*.h5")):
-    with h5py.File(shard) as file:
-        for key, group in file.items():
-            read[key] = {name: group[name][()] for name in names}
-            units |= {name: group[name].attrs["units"] for name in names}
-""",
-    "parquet": """
-import numpy
-from pyarrow import parquet
-for shard in sorted(folder.glob("test-*.parquet")):
-    for row in parquet.read_table(shard, columns=["key", *names]).to_pylist():
-        read[row["key"]] = {name: numpy.array(row[name]) for name in names}
-""",
+_FORMATS = {
+    "webdataset": ("import io", "test-*.tar", ("numpy",)),
+    "hdf5": ("import h5py", "test-*.h5", ("numpy", "h5py")),
+    "parquet": ("from pyarrow", "test-*.parquet", ("numpy", "pyarrow")),
 }
+"""Beginning of the block of the page, names of the shards, and packages, by format."""
+
 _ALONE = """
-import json, pathlib, sys
-sys.modules["twin"] = sys.modules["reconstruction"] = None  # importing them is an error
-folder, names = pathlib.Path(sys.argv[1]), set(json.loads(sys.argv[2]))
-loader, read, units = sys.argv[3], {}, {}
-READER
-known = {k: {n: [list(v.shape), float(v.sum())] for n, v in s.items()} for k, s in read.items()}
-print(json.dumps([known, units]))
+import importlib.util, json, pathlib, sys
+folder, pattern, names, block, packages = json.loads(sys.argv[1])
+sys.path.append(packages)
+assert not any(map(importlib.util.find_spec, ("twin", "reconstruction", "scipy", "mitsuba")))
+exec(block)
+read = {}
+for shard in sorted(pathlib.Path(folder).glob(pattern)):
+    for key, sample in samples(shard, names):
+        read[key] = {n: [list(v.shape), str(v.dtype), float(v.sum())] for n, v in sample.items()}
+print(json.dumps([read, sorted({name.partition(".")[0] for name in sys.modules})]))
 """
 
 
-@pytest.mark.parametrize("kind", [*_READERS])
-def test_a_process_without_the_twin_reads_each_format(made: MadeSet, tmp_path, kind: str) -> None:
-    """Expected: shapes of schema.json and values of the store; in HDF5 the units of schema.json."""
-    out = made.folder
-    if kind != "webdataset":
-        out = tmp_path / kind
-        recipe = made.recipe.model_copy(update={"format": kind})
-        pack(recipe, made.bases, made.draws, made.work, out)
-    names = ["depth_mm", "normal_world", "order_column", "label"]
-    script = _ALONE.replace("READER", _READERS[kind])
-    words = [str(out), json.dumps(names), block_of("import io").text]
-    printed = subprocess.run(
-        [sys.executable, "-I", "-c", script, *words], check=True, capture_output=True, cwd=tmp_path
-    ).stdout
-    read, units = json.loads(printed)
-    schema = json.loads((out / "schema.json").read_text(encoding="utf-8"))["files"]
-    assert units == ({name: schema[f"{name}.npy"]["unit"] for name in names} if units else {})
-    assert bool(units) == (kind == "hdf5")
+def only(folder: Path, packages: Sequence[str]) -> Path:
+    """Return a folder that contains these installed packages and their libraries only."""
+    folder.mkdir()
+    for name in packages:
+        (origin,) = importlib.util.find_spec(name).submodule_search_locations
+        for place in (Path(origin), Path(f"{origin}.libs")):
+            if place.exists():
+                (folder / place.name).symlink_to(place)
+    return folder
+
+
+def packed_as(made: MadeSet, folder: Path, kind: str) -> Path:
+    recipe = made.recipe.model_copy(update={"format": kind})
+    pack(recipe, made.bases, made.draws, made.work, folder)
+    return folder
+
+
+@pytest.mark.parametrize("kind", [*_FORMATS])
+def test_a_bare_process_reads_each_format(made: MadeSet, tmp_path, kind: str) -> None:
+    """The block of the page in a new interpreter that has NumPy and the package of the format only.
+
+    Expected: shapes and types of schema.json, and the values of the store.
+    """
+    start, pattern, packages = _FORMATS[kind]
+    out = packed_as(made, tmp_path / "set", kind)
+    names = ["depth_mm", "frames", "normal_world", "order_column", "label"]
+    given = [str(out), pattern, names, block_of(start).text, str(only(tmp_path / "only", packages))]
+    # -I: no user's folders; -S: not the packages of this environment.
+    words = [sys.executable, "-I", "-S", "-c", _ALONE, json.dumps(given)]
+    printed = subprocess.run(words, check=True, capture_output=True, cwd=tmp_path).stdout
+    read, imported = json.loads(printed)
+    assert {"numpy", *packages} <= {*imported}
     assert len(read) == COUNT - 1
+    schema = json.loads((out / "schema.json").read_text(encoding="utf-8"))["files"]
     for draw in made.draws:
         if draw.case is None:
             continue
         for name in names:
             folder = Store(made.work).path_of(draw.case.digest) / SAMPLE_FOLDER
             stored = np.load(folder / f"{name}.npy")
-            shape, total = read[draw.key][name]
+            shape, dtype, total = read[draw.key][name]
             assert shape == list(stored.shape)
-            assert total == pytest.approx(float(stored.sum()), rel=1e-5)
+            assert len(shape) == len(schema[f"{name}.npy"]["axes"])
+            assert dtype == schema[f"{name}.npy"]["dtype"] == str(stored.dtype)
+            assert total == float(stored.sum())
+
+
+def test_units_are_in_hdf5(made: MadeSet, tmp_path) -> None:
+    out = packed_as(made, tmp_path / "set", "hdf5")
+    schema = json.loads((out / "schema.json").read_text(encoding="utf-8"))["files"]
+    with h5py.File(out / "test-000000.h5") as file:
+        (group, *_) = file.values()
+        assert {name: array.attrs["units"] for name, array in group.items()} == {
+            name.removesuffix(".npy"): entry["unit"]
+            for name, entry in schema.items()
+            if name.endswith(".npy")
+        }

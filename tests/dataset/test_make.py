@@ -226,4 +226,6 @@ def test_a_dry_run_and_scores_are_printed(made: MadeSet, tmp_path, capsys) -> No
     assert figures["samples"] == COUNT - FAILED
     assert len((out / "objects.csv").read_text(encoding="utf-8").splitlines()) == 1 + COUNT - FAILED
     assert run(["score", str(made.folder)]) == 2
-    assert "found 1 folder, allowed 2" in capsys.readouterr().err
+    assert "found neither PREDICTIONS nor a baseline" in capsys.readouterr().err
+    assert run(["score"]) == 2
+    assert "found 0 folders, allowed 2: PREDICTIONS DATASET" in capsys.readouterr().err

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from reconstruction.errors import InputError, counted
+from reconstruction.errors import InputError, counted, few
 from twin.cli.app import (
     BAD_INPUT,
     FAILURE,
@@ -26,7 +26,7 @@ from twin.cli.app import (
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from reconstruction.evaluate.predictions import PredictionScore
+    from reconstruction.evaluate.methods import DataSetScore
     from twin.dataset.draws import SampleDraw
 
 _MOST_REASONS, _MOST_OBJECTS = 10, 20
@@ -117,65 +117,91 @@ def score(
     out: Annotated[Path | None, Parameter(name=["--out", "-o"])] = None,
     baseline: str | None = None,
     split: str = "test",
+    method: str | None = None,
 ) -> None:
     """Score predictions against a data set: twin score PREDICTIONS DATASET.
 
     PREDICTIONS is a folder with files KEY.QUANTITY.npy: depth_mm, normal_world, phase_column_rad or
-    phase_row_rad, in the shape and unit of the truth; NaN: no prediction.
+    phase_row_rad, in the shape and unit of the truth; NaN: no prediction. For a data set of several
+    methods it has one folder for each: METHOD/KEY.QUANTITY.npy. A classical method is scored
+    beside the predictions; twin score DATASET scores it alone.
 
     Parameters
     ----------
     folders
-        PREDICTIONS and DATASET; with --baseline only DATASET.
+        PREDICTIONS and DATASET; or only DATASET.
     out
-        Folder for result.json and objects.csv; default: none is written.
+        Folder for result.json, objects.csv and report.html; default: none is written.
     baseline
-        Classical method that is scored in place of predictions: decoded, spatial_unwrapping,
-        fourier.
+        Classical method: decoded, spatial_unwrapping, fourier; default: that of the recipe.
     split
-        Part of the data set: train, validation or test.
+        Part of the data set: train, validation, test, or all.
+    method
+        Method of measurement, in a data set of several; its files may be in PREDICTIONS itself.
     """
-    from reconstruction.evaluate.baselines import score_baseline
-    from reconstruction.evaluate.predictions import score_predictions
+    from reconstruction.evaluate.methods import score_dataset
 
-    expected = 1 if baseline else 2
-    if len(folders) != expected:
+    if len(folders) not in (1, 2):
         raise InputError(
-            f"twin score: found {counted(len(folders), 'folder')}, allowed {expected}: "
-            + ("DATASET" if baseline else "PREDICTIONS DATASET")
+            f"twin score: found {counted(len(folders), 'folder')}, allowed 2: PREDICTIONS DATASET; "
+            "or 1: DATASET"
         )
-    if baseline:
-        result = score_baseline(baseline, folders[0], split)
-    else:
-        result = score_predictions(folders[0], folders[1], split)
-    figures = result.figures()
+    *predictions, dataset = folders
+    result = score_dataset(
+        dataset,
+        predictions[0] if predictions else None,
+        baseline=baseline or "",
+        split=split,
+        method=method or "",
+    )
     if out is not None:
-        _write_score(out, result, figures, folders)
-    print_metrics(figures)
-    _print_objects(result)
+        _write_score(out, result, folders)
+    if result.baseline:
+        say(f"baseline: {result.baseline}")
+    print_metrics(result.figures())
+    _print_rows(result.by_split(), "split", "splits.csv")
+    _print_rows(result.by_object(), "object", "objects.csv")
+    _print_doubts(result)
     if out is not None:
         say(f"wrote {out}")
 
 
-def _write_score(
-    out: Path, result: "PredictionScore", figures: dict[str, Any], folders: "Sequence[Path]"
-) -> None:
+def _write_score(out: Path, result: "DataSetScore", folders: "Sequence[Path]") -> None:
     from twin.output import output_folder, write_outcome
+    from twin.report.predictions import write_score_page
     from twin.results.parts import write_rows
 
     with output_folder(out, folders) as folder:
         write_rows(folder / "objects.csv", result.by_object(), 6)
-        write_outcome(folder, "score", figures)
+        if splits := result.by_split():
+            write_rows(folder / "splits.csv", splits, 6)
+        write_score_page(folder, result, folders)
+        named = {"baseline": result.baseline} if result.baseline else {}
+        write_outcome(folder, "score", result.figures(), **named)
 
 
-def _print_objects(result: "PredictionScore") -> None:
+def _print_rows(rows: "Sequence[dict[str, Any]]", first: str, file: str) -> None:
     from twin.cli.app import cell
 
-    rows = result.by_object()
     if len(rows) < 2:
         return
-    names = ["object", "samples", *(name for name in rows[0] if "_rms_" in name)]
-    table = ([cell(row[name], 4) for name in names] for row in rows[:_MOST_OBJECTS])
+    named = dict.fromkeys([first, "method", "split", "samples"])
+    names = [name for name in named if name in rows[0]]
+    names += [name for name in dict.fromkeys(n for row in rows for n in row) if "_rms_" in name]
+    table = ([cell(row.get(name), 4) for name in names] for row in rows[:_MOST_OBJECTS])
     print_table(names, table, width=None if sys.stdout.isatty() else 120)
     if len(rows) > _MOST_OBJECTS:
-        say(f"{len(rows) - _MOST_OBJECTS} more objects: objects.csv with -o DIR")
+        say(f"{len(rows) - _MOST_OBJECTS} more rows: {file} with -o DIR")
+
+
+def _print_doubts(result: "DataSetScore") -> None:
+    """Print which samples have no prediction, and which methods no baseline."""
+    for part in result.parts:
+        if keys := part.score.without_prediction:
+            name = f"{part.method}: " if part.method else ""
+            sys.stderr.write(
+                f"twin: {name}{part.source}: no prediction for {counted(len(keys), 'sample')}, "
+                f"which lowers completeness: {few(keys)}\n"
+            )
+    for method, reason in result.unable.items():
+        sys.stderr.write(f"twin: {method or 'baseline'}: no score of a baseline: {reason}\n")

@@ -94,6 +94,12 @@ class Recipe(Model):
         default={}, description="[inputs.NAME]: deviations from the nominal value that are drawn"
     )
     sample: SampleContent
+    baseline: Literal["", "decoded", "spatial_unwrapping", "fourier"] = Field(
+        default="",
+        exclude_if=lambda name: not name,
+        description="classical method that `twin score` compares predictions with; it needs its "
+        "input in `hold`",
+    )
     split: SplitShares = SplitShares()
     format: Literal["webdataset", "hdf5", "parquet"] = "webdataset"
     shard_mb: Annotated[float, Field(ge=0.01, le=4096)] = Field(

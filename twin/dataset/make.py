@@ -14,6 +14,7 @@ from typing import Any
 import tomli_w
 
 from reconstruction.errors import InputError, counted
+from reconstruction.evaluate.baselines import needs_of, predicted_by
 from reconstruction.evaluate.samples import CALIBRATION_JSON, SPLITS, npy
 from reconstruction.writing import write_bytes, write_text
 from twin.config import Experiment
@@ -102,7 +103,22 @@ def draw_all(recipe: Recipe, bases: Sequence[Experiment], count: int) -> tuple[S
         raise InputError(f"--samples: found {count}, allowed 1 to {MOST_SAMPLES}")
     for base in bases:
         check_content(recipe.sample, base)
+    check_baseline(recipe)
     return tuple(draw_sample(recipe, bases, number) for number in range(count))
+
+
+def check_baseline(recipe: Recipe) -> None:
+    """Check that samples contain the input of the recipe's baseline, and a truth to score it.
+
+    Raises
+    ------
+    InputError : they do not
+    """
+    if recipe.baseline and not predicted_by(recipe.baseline, recipe.sample.hold):
+        raise InputError(
+            f"baseline: '{recipe.baseline}' needs {needs_of(recipe.baseline)} in sample.hold; add "
+            "them, or remove baseline"
+        )
 
 
 def take_samples(
@@ -176,7 +192,7 @@ def pack(
     with output_folder(out, inputs) as folder:
         shard_of = write_shards(folder, samples, recipe.format, recipe.shard_mb, progress)
         indexed = tuple({**row, "shard": shard_of.get(str(row["key"]))} for row in rows)
-        schema = sample_schema(samples)
+        schema = dataset_schema(recipe, samples)
         packed = PackedDataSet(recipe, bases, draws, tuple(samples), indexed, schema)
         _write_index(folder / INDEX_PARQUET, indexed)
         content = recipe.model_dump(mode="json", exclude_none=True)
@@ -244,6 +260,16 @@ def _plain(figures: Metrics) -> dict[str, Any]:
         name: "; ".join(map(str, value)) if isinstance(value, list) else value
         for name, value in figures.items()
     }
+
+
+def dataset_schema(recipe: Recipe, samples: Sequence[PackedSample]) -> dict[str, Any]:
+    """Return the content of `schema.json`: files of a sample; methods and baseline, if any."""
+    schema = sample_schema(samples)
+    if recipe.sample.methods:
+        schema["methods"] = list(recipe.sample.methods)
+    if recipe.baseline:
+        schema["baseline"] = recipe.baseline
+    return schema
 
 
 def sample_schema(samples: Sequence[PackedSample]) -> dict[str, Any]:
