@@ -209,9 +209,7 @@ class Sheet:
             return np.ones(rest.area_mm2.shape)
         return 1.0 + rest.deviation_mm / self.laws.thickness_mm
 
-    def touch(
-        self, place_mm: FloatArray, travel_mm: float, reach_mm: float | None = None
-    ) -> Touch:
+    def touch(self, place_mm: FloatArray, travel_mm: float, reach_mm: float | None = None) -> Touch:
         """Return the moving bodies' distances at positions `place_mm` (row, col, 4, xyz).
 
         A distance above `reach_mm` is only a lower limit of it; None: `Sheet.reach_mm`.
