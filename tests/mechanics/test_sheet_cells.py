@@ -4,15 +4,17 @@ import numpy as np
 import pytest
 
 from tests.mechanics.sheets import build_sheet, pressed
-from twin.config.models import Elastomer, Specimen
+from twin.config.models import Elastomer, Mechanics, Press, Specimen
 from twin.mechanics import PressedElastomer
 from twin.mechanics.sheet import cells, press
-from twin.mechanics.sheet.case import SheetCase
+from twin.mechanics.sheet.case import SheetCase, sheet_case
 from twin.mechanics.sheet.energy import Sheet
+from twin.mechanics.sheet.path import mounted
 from twin.mechanics.sheet.splines import Widths, graded_line
 from twin.specimens.kinds.ball import Ball
 from twin.specimens.kinds.bar import Bar
 from twin.specimens.kinds.grating import Grating
+from twin.specimens.kinds.nut import Nut
 
 SMALL = {"length_x_mm": 12.0, "length_y_mm": 12.0}
 
@@ -65,6 +67,24 @@ def finest(
         patch.setattr(SheetCase, "sheet", recorded)
         result = pressed(specimen, elastomer, **load)
     return result, made[-1]
+
+
+def test_the_box_of_the_contact_does_not_depend_on_the_reach_of_the_bodies():
+    """Beyond the reach a distance is only a lower limit: no point is near because of it.
+
+    The reach is 0.15 mm for a sheet of 0.2 mm, plus the range of the tack, which depends on the
+    width of the cells.
+    """
+    load = Press.model_validate({"control": "depth", "depth_mm": 0.5})
+    sheet = build_sheet(thickness_mm=0.2)
+    case = sheet_case(Nut(), sheet, load, Mechanics(model="sheet"))
+    boxes = []
+    for range_mm in (0.0, 1.0):
+        grid = case.sheet(cells.Cells(0.5, 0.5, case.shape.bounds_mm()))
+        grid.laws = grid.laws._replace(tack_range_mm=range_mm)
+        boxes.append(cells._contact_box(case, grid, mounted(grid.grid)))
+    assert boxes[0] == boxes[1]
+    assert max(boxes[0]) < 8.0
 
 
 @pytest.mark.parametrize("yaw_deg", [0.0, 2.0])

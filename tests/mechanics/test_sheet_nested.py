@@ -9,8 +9,10 @@ from tests.mechanics.sheets import EXACT, FINE, ball, build_sheet, laws, pressed
 from twin.config.models import Mechanics, Press
 from twin.mechanics.errors import SolverError
 from twin.mechanics.sheet import press
+from twin.mechanics.sheet.damping import Damping
 from twin.mechanics.sheet.energy import Bodies, Sheet, SheetState
-from twin.mechanics.sheet.linear_solver import _Refined
+from twin.mechanics.sheet.equilibrium import _Descent
+from twin.mechanics.sheet.linear_solver import Banded, _Refined
 from twin.mechanics.sheet.nested import descended, taut_mm
 from twin.mechanics.sheet.path import Loads, follow, mounted
 from twin.mechanics.sheet.splines import SplineLine
@@ -87,6 +89,21 @@ def test_a_smooth_press_factorises_at_most_twice_on_its_finest_cells(
     assert factorised[before:].count(finest) > 2
     assert 1e3 * np.abs(result.face_z_mm - exact.face_z_mm).max() < 0.01
     assert result.force_n == pytest.approx(exact.force_n, rel=1e-5)
+
+
+def test_kept_factors_do_not_keep_a_tangent_convex(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Convex tangents, with which Newton's method is linear, are for a stated number of steps."""
+    monkeypatch.setattr(Banded, "keeps_factors", True)
+    sheet = grids(ball(3.0))[1]
+    descent = _Descent(sheet, descended([sheet], Loads(0.8, 2.0), FINE), FINE)
+    descent.damping = Damping(convex_steps=3, last_convex_steps=3)
+    descent.move(descent.control_mm + 1e-3 * np.where(sheet.grid.free, descent.control_mm, 0.0))
+    steps = []
+    for _ in range(5):
+        convex = descent.damping.convex
+        descent.descend()
+        steps.append((convex, descent.kept))
+    assert steps == [(True, False), (True, True), (True, True), (False, True), (False, True)]
 
 
 def test_coarse_cells_place_the_sheet_as_the_finest_do(monkeypatch: pytest.MonkeyPatch) -> None:

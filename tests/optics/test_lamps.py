@@ -339,8 +339,10 @@ def test_a_ridge_casts_a_shadow_as_long_as_rays_are_straight(look, grid_face):
 
 def test_dots_darken_the_coat_where_they_are_printed(look, plane):
     """Setup: dots with 0.1 x the coat's albedo. Expected: this factor inside, 1 outside."""
-    dots = Markers(pitch_x_mm=4.0, pitch_y_mm=3.0, radius_mm=1.2, relative_albedo=0.1)
-    (image, points), bare = look(plane, lamp(), markers=dots), look(plane, lamp())[0]
+    from twin.optics.printed_dots import PrintedDots
+
+    dots = PrintedDots(Markers(pitch_x_mm=4.0, pitch_y_mm=3.0, radius_mm=1.2, relative_albedo=0.1))
+    (image, points), bare = look(plane, lamp(), dots=dots), look(plane, lamp())[0]
     x, y = (points[..., i] - p * np.round(points[..., i] / p) for i, p in ((0, 4.0), (1, 3.0)))
     r = np.hypot(x, y)
     ratio = image[..., 0] / bare[..., 0]

@@ -37,7 +37,7 @@ def rendered(mi, grid_face):
     from twin.optics.colour_trace import LampRig, trace_channels
     from twin.optics.devices import Device
     from twin.optics.layers import LayerStack
-    from twin.optics.printed_dots import MaterialShift
+    from twin.optics.printed_dots import PrintedDots
     from twin.optics.scene import CoatedScene
 
     camera = Device(PINHOLE, T_WORLD_FROM_CAM)
@@ -59,7 +59,7 @@ def rendered(mi, grid_face):
         x, y = face.vertices[:, :2].T
         face.vertex_attributes[MATERIAL_MM] = np.stack(np.add((x, y), moved(x, y)), axis=-1)
         matte = {"type": "diffuse", "reflectance": {"type": "spectrum", "value": 0.5}}
-        rig = LampRig(camera, emitters, gel, markers=DOTS, shift=MaterialShift.of_face(face))
+        rig = LampRig(camera, emitters, gel, PrintedDots.on(DOTS, face))
         return trace_channels(CoatedScene(face, matte), rig, 25)[..., 0].astype(np.float64)
 
     def places(points_mm):

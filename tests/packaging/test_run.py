@@ -204,6 +204,17 @@ def test_help_needs_no_set_up(checkout):
     assert not checkout.calls_file.exists()
 
 
+def test_an_environment_of_another_checkout_is_not_emptied(checkout, tmp_path):
+    package = tmp_path / "other" / "package"
+    package.mkdir(parents=True)
+    (checkout.root / ".venv").symlink_to(package.parent)
+    ended = checkout.run("demo")
+    assert ended.returncode == 2
+    assert ".venv is a link" in ended.stderr
+    assert package.exists()
+    assert checkout.count("-m venv") == 0
+
+
 def test_python_that_does_not_work_is_reported(checkout):
     ended = checkout.run("demo", TWIN_PYTHON="/absent/python")
     assert ended.returncode == 3

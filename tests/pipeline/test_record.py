@@ -66,6 +66,7 @@ def test_the_page_drawn_at_once_is_the_page_drawn_later(done, folder, tmp_path):
     """Expected: the same bytes from the arrays at hand as from those in the folder."""
     at_hand = as_stored(folder, done)
     assert summary_table(at_hand) == summary_table(read_measurement(folder))
+    assert at_hand.object is done.object  # computed once for result.json and page
     pages = []
     for name, measured in (("at_once", at_hand), ("later", read_measurement(folder))):
         (tmp_path / name).mkdir()

@@ -347,7 +347,7 @@ def compare(
 @app.command
 def export(experiment: ExperimentFile, /, *, out: Out, settings: Settings = None) -> None:
     """Press, then write a stock Mitsuba scene: XML, mesh and one texture per frame."""
-    from twin.mechanics import face_mesh
+    from twin.optics.backed_coat import material_face
     from twin.optics.export import export_stock
     from twin.output import output_folder
     from twin.pipeline.press import press_specimen
@@ -360,7 +360,7 @@ def export(experiment: ExperimentFile, /, *, out: Out, settings: Settings = None
             watch("press", 0.0)
             pressed = press_specimen(loaded, partial(watch, "press"))
             watch("press", 1.0)
-            face, figures = face_mesh(pressed), press_metrics(pressed)
+            face, figures = material_face(loaded, pressed), press_metrics(pressed)
         left_out = export_stock(loaded, face, folder, lambda fraction: watch("export", fraction))
         write_result(folder, "export", loaded, figures | {"not_in_the_scene": left_out})
     for line in left_out:

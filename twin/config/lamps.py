@@ -170,7 +170,8 @@ class Photometric(Model):
     field_x_mm: Length = Field(default=18.6, description="evaluated part of the coat, centred")
     field_y_mm: Length = 14.3
     markers: Markers | None = Field(
-        default=None, description="printed dots; photometric stereo only, not in fringe images"
+        default=None,
+        description="dots printed on the coat, in images of every modality with a press",
     )
     presses: BallPresses = Field(default_factory=BallPresses)
     colour_map: Annotated[str, NameOf(COLOUR_MAPS)] = Field(

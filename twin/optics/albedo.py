@@ -48,6 +48,7 @@ def albedo_of(scene: Any, rig: Rig) -> FloatImage:
 
     start = mi.UInt32(0), dr.zeros(mi.Float, dr.width(hit.t))
     total = dr.while_loop(start, lambda number, _: number < POINTS, add)[1] / POINTS
+    total = rig.inked(total, hit.p)
     return np.array(total, np.float32).reshape(pinhole.height_px, pinhole.width_px)
 
 

@@ -26,12 +26,18 @@ def seen_face(experiment: Experiment, pressed: PressedElastomer) -> "trimesh.Tri
     If the ink is translucent, the mesh has the vertex attribute `INK_ALBEDO`; if dots are printed
     on the coat, it has `MATERIAL_MM`.
     """
-    face, albedo = face_mesh(pressed), ink_albedo(experiment, pressed)
+    face, albedo = material_face(experiment, pressed), ink_albedo(experiment, pressed)
+    if albedo is not None:
+        face.vertex_attributes[INK_ALBEDO] = albedo
+    return face
+
+
+def material_face(experiment: Experiment, pressed: PressedElastomer) -> "trimesh.Trimesh":
+    """Return the mesh of the coated face, world mm, with `MATERIAL_MM` if dots are printed."""
+    face = face_mesh(pressed)
     if experiment.photometric.markers is not None:
         material = material_points(pressed, experiment.elastomer, experiment.press)
         face.vertex_attributes[MATERIAL_MM] = np.stack([of.ravel() for of in material], axis=-1)
-    if albedo is not None:
-        face.vertex_attributes[INK_ALBEDO] = albedo
     return face
 
 

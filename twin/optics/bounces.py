@@ -122,6 +122,7 @@ def _next_segment(
             arguments = (hit.p.x, hit.p.y, share, on_stage, draw)
             sums = _add_where(on_stage, bounces.stage_light.values, arguments, sums)
         ray, weight, through = _go_on(bsdf, hit, rng)
+        weight = rig.inked(weight, hit.p)
         matte += dr.select(sharp, 0, 1)
         events += 1
         ends = (weight == 0.0) | (matte > bounces.most) | (events > matte + MOST_SHARP)

@@ -117,7 +117,8 @@ def check_motion(experiment: Experiment) -> None:
     InputError : photometric stereo; the stock engine; an automatic exposure, or one that does not
         fit in its frame; a clear or polished bare specimen; a vibration of more than one period
         with another motion or a rolling readout; a press that rolls, that slides with friction,
-        that vibrates by more than half a period, or whose travel is not positive
+        that vibrates by more than half a period, or whose travel is not positive; printed dots or
+        discrete flakes on its face
     """
     motion = experiment.motion
     if motion.is_stated and motion.time_s is not None and experiment.method.presses:
@@ -209,6 +210,12 @@ def _check_moving_press(experiment: Experiment) -> None:
         raise InputError(
             "coating.glints: found discrete flakes on a moving face, allowed a smooth coat; remove "
             "[coating.glints], or the motion"
+        )
+    if experiment.photometric.markers is not None:
+        raise InputError(
+            "photometric.markers: found printed dots on a moving face, allowed a coat without dots:"
+            " their edges are not computed between the presses; remove [photometric.markers], or "
+            "the motion"
         )
     if experiment.bounces:
         raise InputError(

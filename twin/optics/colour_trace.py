@@ -14,7 +14,6 @@ import numpy as np
 
 from reconstruction.arrays import FloatArray, FloatImage
 from reconstruction.rig.pinhole import Pinhole
-from twin.config.lamps import Markers
 from twin.config.layers import outer_face
 from twin.config.models import Experiment
 from twin.optics.connection import first_hit, shaded, truth_of
@@ -22,7 +21,7 @@ from twin.optics.devices import Device, SubPixels
 from twin.optics.heights import MarchedHeights
 from twin.optics.lamps import Emitters, emitters_of, sky_seen
 from twin.optics.layers import LayerStack
-from twin.optics.printed_dots import MaterialShift, dot_factor
+from twin.optics.printed_dots import PrintedDots
 from twin.optics.scene import (
     bsdf_on,
     check_below_layers,
@@ -39,9 +38,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class LampRig:
-    """Inputs of a colour trace: camera, emitters, layers (None: air) and printed dots (`markers`).
-
-    `shift` moves the dots with the material; None: they are at their places without load.
+    """Inputs of a colour trace: camera, emitters, layers (None: air) and printed dots.
 
     If `shadows` is False, no shadow rays are traced. If `heights` is given, the scene is that sheet
     only, and rays are marched over its grid. If the coat is `matte`, its BRDF does not depend on
@@ -51,8 +48,7 @@ class LampRig:
     camera: Device
     emitters: Emitters
     layers: LayerStack | None = None
-    markers: Markers | None = None
-    shift: MaterialShift | None = None
+    dots: PrintedDots | None = None
     shadows: bool = True
     heights: MarchedHeights | None = None
     matte: bool = False
@@ -75,7 +71,7 @@ class ColourScene:
         self._lamps = experiment.lamps
         self._layers, self._stack = experiment.layers, layer_stack(experiment)
         self._markers = experiment.photometric.markers
-        self._shift = MaterialShift.of_face(face)
+        self._dots = PrintedDots.on(self._markers, face)
         self._matte = experiment.coating.is_matte
 
     def put(self, face: "trimesh.Trimesh") -> None:
@@ -89,7 +85,7 @@ class ColourScene:
         if len(face.faces) != self._facets:
             raise ValueError(f"the face has {len(face.faces)} facets, the scene {self._facets}")
         self._scene.put(face)
-        self._heights, self._shift = heights_of(face), MaterialShift.of_face(face)
+        self._heights, self._dots = heights_of(face), PrintedDots.on(self._markers, face)
 
     def render(
         self, pinhole: Pinhole, T_world_from_cam: FloatArray, flux: FloatArray | None = None
@@ -117,8 +113,7 @@ class ColourScene:
             camera,
             emitters,
             self._stack,
-            self._markers,
-            self._shift,
+            self._dots,
             heights=self._heights,
             matte=self._matte,
         )
@@ -203,8 +198,8 @@ def _shaded(scene: Any, rig: LampRig, table: _Table, ray: Any) -> Any:
 
     start = mi.UInt32(0), _filled(table, hit, upright)
     total = dr.while_loop(start, lambda number, _: number < table.count, add_emitter)[1]
-    if rig.markers is not None:
-        total *= dot_factor(rig.markers, rig.shift, hit.p)
+    if rig.dots is not None:
+        total *= rig.dots.factor(hit.p)
     return total if sight is None else total * sight.transmission(hit.t)
 
 

@@ -6,7 +6,7 @@ of distances from the projector, for which the light tables need the blur.
 """
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 import mitsuba as mi
@@ -19,6 +19,9 @@ from twin.optics.heights import MarchedHeights
 from twin.optics.layers import Arrival, LayerStack
 from twin.optics.light import LEAST_VARIANCE_PX2, MARGIN_PX, OVERSAMPLING, BlurLevels, LightTable
 from twin.optics.stack import Truth
+
+if TYPE_CHECKING:
+    from twin.optics.printed_dots import PrintedDots
 
 # Shadow rays start at this distance from the surface along its normal: 50 x the float32 resolution
 # of a point 250 mm away, 1/40 of the smallest mesh pitch.
@@ -36,6 +39,7 @@ class Rig:
     shadows : False if the scene provably casts no shadows; then no shadow rays are traced
     heights : the sheet, if it is the whole scene; then camera rays and shadow rays are marched over
         its grid. None: rays are intersected by the scene's tree
+    dots : dots printed on the coat, if the scene has no other surface; None: none are printed
     """
 
     camera: Device
@@ -44,6 +48,11 @@ class Rig:
     layers: LayerStack | None = None
     shadows: bool = True
     heights: MarchedHeights | None = None
+    dots: "PrintedDots | None" = None
+
+    def inked(self, value: Any, point_mm: Any) -> Any:
+        """Return a reflectance, or light reflected at surface points, with the printed dots."""
+        return value if self.dots is None else value * self.dots.factor(point_mm)
 
 
 @dataclass(frozen=True)
@@ -77,7 +86,7 @@ def connect(scene: Any, rig: Rig, hit: Any, bsdf: Any, coherent: bool = True) ->
         to_light = light.direction, light.clear_mm
         lit &= ~shaded(scene, rig.heights, hit, to_light, lit, coherent=coherent)
     brdf_cos = bsdf.eval(mi.BSDFContext(), hit, hit.to_local(light.direction), lit)[0]
-    weight = dr.select(lit, brdf_cos * light.irradiance, 0.0)
+    weight = rig.inked(dr.select(lit, brdf_cos * light.irradiance, 0.0), hit.p)
     missed = ~hit.is_valid()
     column_px, row_px, axial_mm = (
         dr.select(missed, 0.0, value) for value in (column_px, row_px, light.axial_mm)

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from twin.optics.stock import Canvas
 
 SCENE_FILE = "scene.xml"
+DOT_FILE = "printed_dots.exr"
 
 
 def inexpressible(experiment: Experiment) -> list[str]:
@@ -74,7 +75,8 @@ def export_stock(
     Parameters
     ----------
     experiment : `render.stock_emitter` chooses between `projector` and `spot`
-    face : coated face in world mm; None for a bare specimen
+    face : coated face in world mm, with material coordinates if dots are printed on it; None for a
+        bare specimen
     folder : an existing folder
     progress : called with the finished fraction
 
@@ -94,10 +96,7 @@ def export_stock(
         raise InputError(f"export: {experiment.coating.export_gap}; export another coating")
     rig = rig_of(experiment)
     canvas = _write_textures(experiment, rig, folder, progress)
-    if face is None:
-        shapes = solids(experiment)
-    else:
-        shapes = (Solid(COATED_FACE, face, experiment.coating.bsdf()),)
+    shapes = solids(experiment) if face is None else (_coated(experiment, face, folder),)
     for solid in shapes:
         content = solid.mesh.export(file_type="ply", vertex_normal=True)
         write_bytes(folder / f"{solid.name}.ply", content)
@@ -110,6 +109,21 @@ def export_stock(
     )
     write_text(folder / SCENE_FILE, scene)
     return inexpressible(experiment)
+
+
+def _coated(experiment: Experiment, face: "trimesh.Trimesh", folder: Path) -> Solid:
+    """Return the coated face; write the texture of the dots that are printed on it."""
+    from twin.optics import stock_dots
+
+    coat, markers = experiment.coating.bsdf(), experiment.photometric.markers
+    if markers is None:
+        return Solid(COATED_FACE, face, coat)
+    write_exr_channels(folder / DOT_FILE, {"Y": stock_dots.dot_cell(markers)})
+    mesh = face.copy()
+    across, along = stock_dots.cell_coordinates(markers, face).T.astype(np.float32)
+    mesh.vertex_attributes = {"s": across, "t": along}  # names of the PLY format
+    texture = stock_dots.cell_texture_in_file(DOT_FILE)
+    return Solid(COATED_FACE, mesh, stock_dots.dotted(coat, texture))
 
 
 def _write_textures(

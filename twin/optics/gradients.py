@@ -200,6 +200,7 @@ def _moving_rig(rig: Rig, experiment: Experiment, vary: Vary, step: float, amoun
         irradiance_at_1mm=moved[32],
         shadows=rig.shadows,
         heights=rig.heights,
+        dots=rig.dots,
     )
 
 

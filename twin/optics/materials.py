@@ -147,10 +147,16 @@ def listed_as(name: str, parameters: Any) -> str | None:
     return next((key for key in (name, f"{name}.value") if key in parameters), None)
 
 
-def coated_mesh(face: "trimesh.Trimesh | FaceGrid", bsdf: dict[str, Any]) -> Any:
+def coated_mesh(
+    face: "trimesh.Trimesh | FaceGrid", bsdf: dict[str, Any], texture: ArrayLike | None = None
+) -> Any:
     """Return the coated face (vertices in world mm, smooth vertex normals) as `mi.Mesh`.
 
     The vertex attribute `INK_ALBEDO` of the face, if present, is `vertex_shade` of the `mi.Mesh`.
+
+    Parameters
+    ----------
+    texture : (vertex, 2) float; texture coordinates; None: no texture of `bsdf` needs them
     """
     return mitsuba_mesh(
         COATED_FACE,
@@ -158,5 +164,6 @@ def coated_mesh(face: "trimesh.Trimesh | FaceGrid", bsdf: dict[str, Any]) -> Any
         face.faces,
         bsdf,
         normals=face.vertex_normals,
+        texture=texture,
         shade=face.vertex_attributes.get(INK_ALBEDO),
     )

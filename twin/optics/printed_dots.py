@@ -73,19 +73,27 @@ class MaterialShift:
         return x, y
 
 
-def dot_factor(markers: Markers, shift: MaterialShift | None, point_mm: Any) -> Any:
-    """Return the factor of the printed dots on the reflectance, 1 outside the dots.
+@dataclass(frozen=True, eq=False)
+class PrintedDots:
+    """Dots on one face; `shift` None: the material has not moved in the plane of the coat."""
 
-    Parameters
-    ----------
-    shift : None: the material has not moved in the plane of the coat
-    point_mm : surface points, world
-    """
-    x, y = point_mm.x, point_mm.y
-    if shift is not None:
-        moved_x, moved_y = shift.at(point_mm)
-        x, y = x + moved_x, y + moved_y
-    x -= dr.round(x / markers.pitch_x_mm) * markers.pitch_x_mm
-    y -= dr.round(y / markers.pitch_y_mm) * markers.pitch_y_mm
-    inside = x * x + y * y < markers.radius_mm**2
-    return dr.select(inside, markers.relative_albedo, 1.0)
+    markers: Markers
+    shift: MaterialShift | None = None
+
+    @classmethod
+    def on(
+        cls, markers: Markers | None, face: "FaceGrid | trimesh.Trimesh"
+    ) -> "PrintedDots | None":
+        """Return the dots on a face, with its material coordinates; None if none are printed."""
+        return None if markers is None else cls(markers, MaterialShift.of_face(face))
+
+    def factor(self, point_mm: Any) -> Any:
+        """Return the factor of the dots on the reflectance at world points, 1 outside the dots."""
+        x, y, markers = point_mm.x, point_mm.y, self.markers
+        if self.shift is not None:
+            moved_x, moved_y = self.shift.at(point_mm)
+            x, y = x + moved_x, y + moved_y
+        x -= dr.round(x / markers.pitch_x_mm) * markers.pitch_x_mm
+        y -= dr.round(y / markers.pitch_y_mm) * markers.pitch_y_mm
+        inside = x * x + y * y < markers.radius_mm**2
+        return dr.select(inside, markers.relative_albedo, 1.0)

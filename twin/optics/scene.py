@@ -24,6 +24,7 @@ from twin.optics.materials import (
     structure_of,
     updated,
 )
+from twin.optics.printed_dots import PrintedDots
 from twin.optics.rig import ThinLens, irradiance_at_1mm, true_calibration
 
 if TYPE_CHECKING:
@@ -157,11 +158,12 @@ def rig_of(experiment: Experiment) -> Rig:
 
 
 def coated_rig(experiment: Experiment, face: "trimesh.Trimesh | FaceGrid") -> Rig:
-    """Return the rig for a scene of only the coated face.
+    """Return the rig for a scene of only the coated face, with the dots printed on it.
 
     Rays are marched if the vertices of the face are a uniform grid of heights.
     """
     rig, grid = rig_of(experiment), height_grid(face)
+    rig = replace(rig, dots=PrintedDots.on(experiment.photometric.markers, face))
     if grid is None:
         return rig
     position_mm = rig.projector.T_world_from_device[:3, 3]

@@ -356,7 +356,7 @@ def with_compensation(done: Measurement, layer: SensorLayer | None = None) -> Me
         figures = compensated_figures(done.experiment, points, layer)
     else:
         figures = _sheet_figures(known)
-    return replace(done, metrics={**done.metrics, **figures})
+    return done.with_same_object(metrics={**done.metrics, **figures})
 
 
 def _sheet_figures(compensation: SheetCompensation) -> dict[str, Any]:

@@ -104,7 +104,7 @@ def measure_fringes(
         with run.clock.stage("object"):
             done = done.with_object()
             figures = {} if further is None else further.result()
-    return replace(done, metrics={**done.metrics, **figures}, seconds=run.clock.seconds)
+    return done.with_same_object(metrics={**done.metrics, **figures}, seconds=run.clock.seconds)
 
 
 def evaluate(
@@ -130,6 +130,7 @@ def evaluate(
     figures |= predicted_motion_figures(experiment, reconstruction, recording.truth)
     figures["warnings"] += noise_warnings(experiment, noise)
     figures["warnings"] += decoding_warnings(experiment)
+    figures["warnings"] += dots_warnings(experiment)
     figures["warnings"] += layout_warnings(experiment)
     figures["warnings"] += motion_warnings(experiment, recording.radiance.motion)
     figures["warnings"] += sequence_warnings(experiment, recording.exposure_ms)
@@ -294,6 +295,22 @@ def decoding_warnings(experiment: Experiment) -> list[str]:
             " and standard deviations do not include it; choose a shorter patterns.period_px"
         )
     return warnings
+
+
+def dots_warnings(experiment: Experiment) -> list[str]:
+    """Return a warning about points at edges of dots, or about dots stated without a coat."""
+    if experiment.photometric.markers is None:
+        return []
+    if experiment.method.presses:
+        return [
+            "points at the edges of printed dots are displaced towards the brighter part of their "
+            "pixel, and standard deviations do not include it; use smaller pixels, or a larger "
+            "photometric.markers.relative_albedo"
+        ]
+    return [
+        f"photometric.markers has no effect with modality = '{experiment.modality}': dots are "
+        "printed on a coat; remove [photometric.markers], or set modality = 'contact_fpp'"
+    ]
 
 
 def noise_warnings(experiment: Experiment, noise: NoiseFunction | None) -> list[str]:

@@ -20,7 +20,7 @@ from twin.optics.checks import check_direct_engine, check_motion
 from twin.optics.session import renderer_session
 from twin.optics.stack import RadianceStack
 from twin.pipeline.memory import CachedResult, Memory
-from twin.pipeline.press import PressedFace, glinting_material_mm, press
+from twin.pipeline.press import PressedFace, material_mm, press
 
 if TYPE_CHECKING:
     from twin.optics.one_trace import Patches
@@ -73,8 +73,8 @@ def loaded(
 
     if pressed is None:
         return memory.recall("geometry", experiment, (), trace.load_bare)
-    material_mm = glinting_material_mm(experiment, pressed.pressed)
-    attributes = {} if material_mm is None else {MATERIAL_MM: material_mm}
+    material = material_mm(experiment, pressed.pressed)
+    attributes = {} if material is None else {MATERIAL_MM: material}
     return memory.recall(
         "geometry",
         experiment,

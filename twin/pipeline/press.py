@@ -149,12 +149,12 @@ def with_texture(experiment: Experiment, smooth: PressedElastomer) -> PressedEla
     return textured(smooth, experiment.elastomer, experiment.press, texture, experiment.seed)
 
 
-def glinting_material_mm(experiment: Experiment, pressed: PressedElastomer) -> FloatArray | None:
-    """Return the material coordinates of the face's vertices, (vertex, 2) mm, for its flakes.
+def material_mm(experiment: Experiment, pressed: PressedElastomer) -> FloatArray | None:
+    """Return the material coordinates of the face's vertices, (vertex, 2) mm, for dots and flakes.
 
-    None for a coat without discrete flakes.
+    None for a coat without printed dots and without discrete flakes.
     """
-    if experiment.coating.facets() is None:
+    if experiment.photometric.markers is None and experiment.coating.facets() is None:
         return None
     X_mm, Y_mm = material_points(pressed, experiment.elastomer, experiment.press)
     return np.stack((X_mm.ravel(), Y_mm.ravel()), axis=-1)

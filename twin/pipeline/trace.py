@@ -29,6 +29,7 @@ from twin.optics.scene import Surfaces, coated_rig, coating_in_layer, marched_sc
 from twin.optics.session import renderer_session
 from twin.optics.stack import RadianceStack, TraceMaps, Truth
 from twin.optics.stock import render_stack
+from twin.optics.stock_dots import cell_coordinates, cell_texture, dotted
 
 if TYPE_CHECKING:
     import trimesh
@@ -227,7 +228,7 @@ def light_with_stock(
     patterns = pattern_set(experiment.projector, experiment.patterns)
     seeds = seed_sequence(experiment, "stock").generate_state(len(patterns.frames)).tolist()
     frames = render_stack(
-        coated_mesh(geometry.face, experiment.coating.bsdf()),
+        _stock_mesh(experiment, geometry.face),
         view.rig,
         patterns,
         tables,
@@ -238,6 +239,13 @@ def light_with_stock(
         progress=progress,
     )
     return RadianceStack(frames, view.truth)
+
+
+def _stock_mesh(experiment: Experiment, face: "trimesh.Trimesh | FaceGrid") -> Any:
+    coat, markers = experiment.coating.bsdf(), experiment.photometric.markers
+    if markers is None:
+        return coated_mesh(face, coat)
+    return coated_mesh(face, dotted(coat, cell_texture(markers)), cell_coordinates(markers, face))
 
 
 @renderer_session()

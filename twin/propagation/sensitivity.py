@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import stats
 
 from reconstruction.arrays import FloatArray
 from reconstruction.errors import InputError
@@ -43,6 +42,8 @@ def correlation_of(name: str, inputs: ArrayLike, values: ArrayLike) -> Correlati
 
     None if there are fewer than three trials, or if input or measurand is constant.
     """
+    from scipy import stats  # takes 0.5 s to import, and a report without trials needs none
+
     x, y = np.asarray(inputs, np.float64), np.asarray(values, np.float64)
     if x.size < 3 or not np.ptp(x) or not np.ptp(y):
         return None

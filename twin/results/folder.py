@@ -35,7 +35,6 @@ again.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -237,8 +236,7 @@ def as_stored(folder: Path, done: Measurement) -> Measurement:
     Only the small files are read; the arrays are those of `done`.
     """
     result = _read_result(folder)
-    return replace(
-        done,
+    return done.with_same_object(
         experiment=_read_experiment(folder / EXPERIMENT_FILE),
         metrics=result["metrics"],
         digest=str(result["digest"]),

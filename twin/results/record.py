@@ -262,7 +262,18 @@ class Measurement:
 
     def with_object(self) -> "Measurement":
         """Return the measurement with the figures of the object added to its metrics."""
-        return replace(self, metrics={**self.metrics, **self.object.figures})
+        return self.with_same_object(metrics={**self.metrics, **self.object.figures})
+
+    def with_same_object(self, **changes: Any) -> "Measurement":
+        """Return the measurement with other fields, and with the score of the object, if computed.
+
+        For fields on which this score does not depend: metrics, times, and all fields that are read
+        back equal from a folder.
+        """
+        done = replace(self, **changes)
+        if "object" in self.__dict__:
+            done.__dict__["object"] = self.object
+        return done
 
     @property
     def picture(self) -> Levels:

@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import stats
 
 from reconstruction.arrays import FloatArray, IntArray
 from twin.config.study import Study
@@ -176,6 +175,8 @@ def saltelli_effects(blocks: FloatArray, axes: Sequence[str]) -> list[Effect]:
     out. Further rows are left out until the number of rows is a power of two, as
     `scipy.stats.sobol_indices` requires. The result is empty if fewer than two rows have values.
     """
+    from scipy import stats  # takes 0.5 s to import, and most studies have no Saltelli design
+
     blocks = blocks[:, np.isfinite(blocks).all(axis=0)]
     if blocks.shape[1] < 2:
         return []

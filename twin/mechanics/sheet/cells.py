@@ -19,7 +19,8 @@ _RIM = 1 / 3
 # Change of the width of coarse cells over distance, from the finest width at a clamped rim: without
 # such cells the whole sheet is 0.1 mm too high. Twice as many are no more accurate.
 _GROWTH_AT_RIM = 0.5
-_MARGIN_MM = 1.5
+# Gap of points in the contact's box, and margin round them.
+_NEAR_MM, _MARGIN_MM = COARSE_CELL_MM / 2, 1.5
 # Most cells in the box of contact, some 90,000 unknowns: more take long. And most control points
 # of the sheet, some 230,000 unknowns: more need more than 2 GiB.
 _MOST_CELLS, _MOST_CONTROLS = 24_000, 78_000
@@ -127,9 +128,10 @@ def _contact_box(case: SheetCase, sheet: Sheet, state: SheetState) -> Box:
     Without contact it is the specimen's bounding box.
     """
     surface = sheet.surface(state.control_mm)
-    touch = sheet.touch(surface[..., 0, :], state.travel_mm)
+    # Distances are exact only within a reach, which is shorter than this one on narrow cells.
+    touch = sheet.touch(surface[..., 0, :], state.travel_mm, sheet.reach_mm + _NEAR_MM)
     gap = sheet.gap_mm(surface, touch)[: case.parts].min(axis=0)
-    near = gap < COARSE_CELL_MM / 2
+    near = gap < _NEAR_MM
     if not near.any():
         return case.shape.bounds_mm()
     x, y = sheet.grid.x.points.ravel(), sheet.grid.y.points.ravel()

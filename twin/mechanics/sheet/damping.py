@@ -49,6 +49,10 @@ class Damping:
         steps = min(max(2 * self.last_convex_steps, 1), _MOST_CONVEX_STEPS)
         return replace(self, convex_steps=steps, last_convex_steps=steps)
 
+    def after_step(self) -> "Damping":
+        """Return the damping with one convex step less."""
+        return replace(self, convex_steps=max(self.convex_steps - 1, 0))
+
 
 def exact_viscosity(sheet: Sheet, damping: Damping, *, once: bool) -> float | None:
     """Factorise the exact tangent plus a viscosity; return the viscosity, None without success.

@@ -209,10 +209,13 @@ class Sheet:
             return np.ones(rest.area_mm2.shape)
         return 1.0 + rest.deviation_mm / self.laws.thickness_mm
 
-    def touch(self, place_mm: FloatArray, travel_mm: float) -> Touch:
-        """Return the moving bodies' distances at positions `place_mm` (row, col, 4, xyz)."""
-        points = self._lowered(place_mm, travel_mm)
-        distances = [body.evaluate(points, self.reach_mm) for body in self.bodies.moving]
+    def touch(self, place_mm: FloatArray, travel_mm: float, reach_mm: float | None = None) -> Touch:
+        """Return the moving bodies' distances at positions `place_mm` (row, col, 4, xyz).
+
+        A distance above `reach_mm` is only a lower limit of it; None: `Sheet.reach_mm`.
+        """
+        points, reach_mm = self._lowered(place_mm, travel_mm), reach_mm or self.reach_mm
+        distances = [body.evaluate(points, reach_mm) for body in self.bodies.moving]
         return _stacked(distances, place_mm.shape[:3])
 
     def _near(self, place_mm: FloatArray, travel_mm: float) -> Touch:

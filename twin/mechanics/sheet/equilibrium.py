@@ -153,6 +153,7 @@ class _Descent:
             step, near = self.sheet.approximate_step_mm(self.damping.viscosity)
             self.keeps, self.kept = near.is_accurate, near.residual <= _USEFUL
             if self.kept:
+                self.damping = self.damping.after_step()
                 return step
         return self._step_by_new_factors_mm()
 
@@ -298,7 +299,7 @@ def _definite(descent: _Descent, damping: Damping) -> Damping:
         viscosity *= GROWTH
         if viscosity > MOST_VISCOSITY:
             raise SolverError("sheet: no direction lowers its energy")
-    return replace(damping, viscosity=viscosity, convex_steps=damping.convex_steps - 1)
+    return replace(damping, viscosity=viscosity).after_step()
 
 
 # ---- line search -----------------------------------------------------------------------------

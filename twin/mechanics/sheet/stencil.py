@@ -45,11 +45,12 @@ def stencil(free: npt.NDArray[np.bool_]) -> Stencil:
     coupled = np.stack(
         [number[2 + b : 2 + b + rows, 2 + a : 2 + a + cols] for b, a in SLOTS], axis=2
     )
-    shape = (rows, cols, len(SLOTS), 3, 3)
-    first = np.broadcast_to(own[:, :, None, :, None], shape).ravel()
-    second = np.broadcast_to(coupled[:, :, :, None, :], shape).ravel()
-    taken = np.flatnonzero((first >= 0) & (second >= first))
-    taken = taken[np.lexsort((second[taken], first[taken]))]
-    count = np.bincount(first[taken], minlength=int(free.sum()))
+    # Row by row, with the columns of each row in ascending order: as the slots are.
+    shape = (rows, cols, 3, len(SLOTS), 3)
+    first = np.broadcast_to(own[..., None, None], shape)
+    second = np.broadcast_to(coupled[:, :, None], shape)
+    element = np.arange(first.size).reshape(rows, cols, len(SLOTS), 3, 3).swapaxes(2, 3)
+    inside = (first >= 0) & (second >= first)
+    count = np.bincount(first[inside], minlength=int(free.sum()))
     start = np.concatenate(([0], np.cumsum(count))).astype(np.int32)
-    return Stencil(start, second[taken].astype(np.int32), taken)
+    return Stencil(start, second[inside].astype(np.int32), element[inside])
