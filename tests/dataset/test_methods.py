@@ -80,7 +80,7 @@ def test_three_methods_of_one_sensor_press_once(tmp_path: Path) -> None:
     result.write(tmp_path)
     files = {path.name for path in (tmp_path / SAMPLE_FOLDER).iterdir()}
     without = {"contact_fpp": {"image"}, "direct_fpp": {"image", "pressure_kpa"}}
-    without["photometric_stereo"] = {"frames", "albedo"}
+    without["photometric_stereo"] = {"frames"}
     expected = {f"{m}_{name}.npy" for m in THREE for name in hold if name not in without[m]}
     rigs = {"contact_fpp_calibration.json", "direct_fpp_calibration.json"}
     assert files == expected | rigs
@@ -93,6 +93,18 @@ def test_three_methods_of_one_sensor_press_once(tmp_path: Path) -> None:
         area_mm2 = np.abs(down[..., 0] * right[..., 1] - down[..., 1] * right[..., 0])
         force_n = 1e-3 * float((pressure * area_mm2).sum())
         assert force_n == pytest.approx(figures["contact_fpp_force_n"], rel=0.03)
+    gel, pressure = (
+        np.load(tmp_path / SAMPLE_FOLDER / f"photometric_stereo_{name}.npy")
+        for name in ("albedo", "pressure_kpa")
+    )
+    # Translucent ink: its own albedo, and that in front of the ball where the ball touches it.
+    alone, touched = (experiment.coating.albedo_over(albedo) for albedo in (0.0, 0.45))
+    assert touched > 1.02 * alone
+    middle = gel.shape[0] // 2, gel.shape[1] // 2
+    assert pressure[middle] > 0
+    assert gel[middle] == pytest.approx(touched, rel=1e-5)
+    assert gel[0, 0] == pytest.approx(alone, rel=1e-5)
+    assert gel.min() > alone * (1 - 1e-5)
     ball = np.load(tmp_path / SAMPLE_FOLDER / "direct_fpp_albedo.npy")
     shown = np.load(tmp_path / SAMPLE_FOLDER / "direct_fpp_label.npy") == 2
     assert np.allclose(ball[shown], 0.45, rtol=1e-5)

@@ -83,6 +83,13 @@ def test_flat_coat_under_one_led_is_lambert_in_closed_form(look, plane):
     I0 = (m + 1) flux / 2 pi, and as much from its image, by Fresnel; float32 rays: 2e-4.
     """
     rendered, points = look(plane, lamp(exponent=3.0))
+    expected = ALBEDO * radiance_of_white(points)
+    np.testing.assert_allclose(rendered[..., 0], expected, rtol=2e-4)
+    assert rendered[..., 1:].max() == 0.0
+
+
+def radiance_of_white(points):
+    """Radiance of a flat white coat under `lamp(exponent=3.0)` and its mirror image."""
 
     def irradiance(height_mm, down_deg):
         way = np.array([14.0, 2.0, height_mm]) - points
@@ -94,9 +101,32 @@ def test_flat_coat_under_one_led_is_lambert_in_closed_form(look, plane):
     (straight, _), (image, cosine) = irradiance(4.0, 15.0), irradiance(2 * GEL_MM - 4.0, -15.0)
     both = straight + image * fresnel_within(cosine)
     assert image[24, 0] * fresnel_within(cosine)[24, 0] > 0.1 * straight[24, 0]
-    expected = ALBEDO / np.pi * both * seen_share(points)
-    np.testing.assert_allclose(rendered[..., 0], expected, rtol=2e-4)
-    assert rendered[..., 1:].max() == 0.0
+    return both * seen_share(points) / np.pi
+
+
+def test_the_albedo_of_a_flat_coat_is_its_radiance_over_that_of_white(mi, look, plane):
+    """Expected: the closed form of the test above, at every pixel; with dots 0.2 of it on a dot."""
+    from twin.config.layers import Medium
+    from twin.optics.albedo import albedo_of
+    from twin.optics.colour_trace import LampRig
+    from twin.optics.devices import Device
+    from twin.optics.layers import LayerStack
+    from twin.optics.printed_dots import PrintedDots
+    from twin.optics.scene import CoatedScene
+
+    gel = LayerStack((Medium(GEL_MM, N_GEL, ABSORPTION),))
+    led, scene = lamp(exponent=3.0), CoatedScene(plane, MATTE)
+    emitters = emitters_of({"0": led}, face=OUTER)
+    markers = Markers(pitch_x_mm=2.0, pitch_y_mm=2.0, radius_mm=0.5, relative_albedo=0.2)
+    for dots in (None, PrintedDots(markers)):
+        rendered, points = look(plane, led, dots=dots)
+        rig = LampRig(Device(PINHOLE, T_WORLD_FROM_CAM), emitters, gel, dots)
+        albedo = albedo_of(scene, rig)
+        np.testing.assert_allclose(rendered[..., 0] / albedo, radiance_of_white(points), rtol=2e-4)
+        off = points[..., :2] - 2.0 * np.rint(points[..., :2] / 2.0)
+        inside = np.hypot(off[..., 0], off[..., 1]) < 0.5 if dots else np.zeros(albedo.shape, bool)
+        np.testing.assert_allclose(albedo, np.where(inside, 0.2 * ALBEDO, ALBEDO), rtol=1e-5)
+        assert inside.any() == (dots is not None)
 
 
 def test_bump_in_air_equals_stock_mitsuba(mi, look, bump):

@@ -129,7 +129,6 @@ SAMPLE_QUANTITIES: Mapping[str, SampleQuantity] = {
         "1",
         "reflectance of the surface at normal incidence, diffuse and specular; 0 no surface",
         pixel_values.albedo,
-        ("fringes",),
     ),
     "image": SampleQuantity(
         COLOURS,

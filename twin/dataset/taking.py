@@ -3,7 +3,7 @@
 import io
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,7 @@ from twin.dataset.taken import TakenSample
 from twin.output import write_json
 from twin.pipeline import measure
 from twin.pipeline.captures import options_of
+from twin.pipeline.colours import coat_albedo
 from twin.pipeline.fringes import expose_capture, record, render_bare
 from twin.pipeline.lit_frames import albedo
 from twin.pipeline.memory import Memory
@@ -107,15 +108,14 @@ def take_sample(
     memory : cache of stage results
     trial : number that selects the temporal noise
     decode : whether fringes are decoded and scored; an image of a photometric sensor always is
-    with_albedo : whether the albedo of the surface is traced, by methods with fringes
+    with_albedo : whether the albedo of the surface is traced
 
     Raises
     ------
     InputError, MissingBackend : for the reasons of `twin.pipeline.measure`
     """
     if not experiment.method.fringes:
-        done = measure(experiment, memory=memory, trial=trial)
-        return TakenSample(experiment, done.truth, done.pressed, colours=done.colours), done.metrics
+        return _take_image(experiment, memory, trial, with_albedo=with_albedo)
     pressed = press(experiment, memory).pressed if experiment.method.presses else None
     if pressed is None:
         radiance = render_bare(experiment, memory=memory)
@@ -133,6 +133,17 @@ def take_sample(
         reflectance = albedo(experiment, face, memory)
     taken = TakenSample(experiment, recording.truth, pressed, recording, maps, albedo=reflectance)
     return taken, figures
+
+
+def _take_image(
+    experiment: Experiment, memory: Memory, trial: int, *, with_albedo: bool
+) -> tuple[TakenSample, Metrics]:
+    """Take one image of a photometric sensor; see `take_sample`."""
+    done = measure(experiment, memory=memory, trial=trial)
+    taken = TakenSample(experiment, done.truth, done.pressed, colours=done.colours)
+    if with_albedo:
+        taken = replace(taken, albedo=coat_albedo(experiment, taken.face, memory))
+    return taken, done.metrics
 
 
 Content = NDArray[Any] | Mapping[str, Any]

@@ -7,7 +7,7 @@ for perfect mirrors. For a mixture of lobes its error is about 1 / POINTS. Rough
 than the Fresnel reflectance by the light that their facets reflect twice, which the BSDF omits.
 """
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 import mitsuba as mi
@@ -17,10 +17,13 @@ from reconstruction.arrays import FloatArray, FloatImage
 from twin.optics.connection import Rig, first_hit
 from twin.optics.devices import SubPixels
 
+if TYPE_CHECKING:
+    from twin.optics.colour_trace import LampRig
+
 POINTS = 256
 
 
-def albedo_of(scene: Any, rig: Rig) -> FloatImage:
+def albedo_of(scene: Any, rig: "Rig | LampRig") -> FloatImage:
     """Return the reflectance (row, col) at normal incidence of the surface at the pixel centres.
 
     A coat with flakes has its mean over the flakes. Pixels without a surface are 0.
@@ -48,7 +51,8 @@ def albedo_of(scene: Any, rig: Rig) -> FloatImage:
 
     start = mi.UInt32(0), dr.zeros(mi.Float, dr.width(hit.t))
     total = dr.while_loop(start, lambda number, _: number < POINTS, add)[1] / POINTS
-    total = rig.inked(total, hit.p)
+    if rig.dots is not None:
+        total *= rig.dots.factor(hit.p)
     return np.array(total, np.float32).reshape(pinhole.height_px, pinhole.width_px)
 
 

@@ -16,6 +16,7 @@ from reconstruction.arrays import FloatArray, FloatImage
 from reconstruction.rig.pinhole import Pinhole
 from twin.config.layers import outer_face
 from twin.config.models import Experiment
+from twin.optics.albedo import albedo_of
 from twin.optics.connection import first_hit, shaded, truth_of
 from twin.optics.devices import Device, SubPixels
 from twin.optics.heights import MarchedHeights
@@ -103,6 +104,10 @@ class ColourScene:
     def truth(self, pinhole: Pinhole, T_world_from_cam: FloatArray) -> Truth:
         """Return the true surface at the pixel centres; `lit` is True for every visible point."""
         return trace_face(self._scene, self._rig(pinhole, T_world_from_cam))
+
+    def albedo(self, pinhole: Pinhole, T_world_from_cam: FloatArray) -> FloatImage:
+        """Return the albedo (row, col) of the coat at the pixel centres, see `albedo_of`."""
+        return albedo_of(self._scene, self._rig(pinhole, T_world_from_cam))
 
     def _rig(
         self, pinhole: Pinhole, T_world_from_cam: FloatArray, flux: FloatArray | None = None

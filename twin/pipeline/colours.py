@@ -158,6 +158,12 @@ class ColourSensor:
         self.coat.scene.put(face)
         return self.coat.scene.truth(*self._pose(image_pinhole(self.experiment)))
 
+    @renderer_session()
+    def albedo(self, face: "trimesh.Trimesh") -> FloatImage:
+        """Return the albedo (row, col) of the coat at the pixels of the final image."""
+        self.coat.scene.put(face)
+        return self.coat.scene.albedo(*self._pose(image_pinhole(self.experiment)))
+
     def _pose(self, pinhole: Pinhole) -> tuple[Pinhole, FloatArray]:
         return pinhole, world_from_device(self.experiment.camera.pose, pinhole)
 
@@ -238,6 +244,18 @@ def calibrated_sensor(
     coat, calibrations = _calibrated(experiment, memory or Memory())
     sensor = ColourSensor.of(experiment, coat.value)
     return sensor, calibrations[experiment.photometric.colour_map]
+
+
+def coat_albedo(experiment: Experiment, pressed: PressedElastomer, memory: Memory) -> FloatImage:
+    """Return the albedo (row, col) of a pressed coat at the pixels of the final image.
+
+    Raises
+    ------
+    InputError, MissingBackend : for the reasons of `calibrated_sensor`
+    """
+    check_sensor(experiment)
+    coat = memory.recall("sensor", experiment, (), _lit_coat).value
+    return ColourSensor.of(experiment, coat).albedo(seen_face(experiment, pressed))
 
 
 def check_sensor(experiment: Experiment) -> None:
