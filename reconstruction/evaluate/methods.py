@@ -52,12 +52,14 @@ class DataSetScore:
         """Return the figures over all samples.
 
         Names begin with the method, if there are several; then with `baseline`, if a baseline is
-        scored beside predictions.
+        scored in addition to predictions.
         """
         known: dict[str, float | None] = {}
         for part in self.parts:
             start = prefix_of(part.method)
-            known |= {f"{start}{n}": v for n, v in self._beside(part, part.score.figures()).items()}
+            known |= {
+                f"{start}{n}": v for n, v in self._prefixed(part, part.score.figures()).items()
+            }
         return known
 
     def by_object(self) -> list[dict[str, Any]]:
@@ -68,7 +70,7 @@ class DataSetScore:
                 split = {"split": part.score.split_of[row["object"]]} if self._splits else {}
                 own = {"method": part.method} if part.method else {}
                 at = (part.method, row["object"])
-                rows[at] = own | split | rows.get(at, {}) | self._beside(part, row)
+                rows[at] = own | split | rows.get(at, {}) | self._prefixed(part, row)
         return list(rows.values())
 
     def by_split(self) -> list[dict[str, Any]]:
@@ -78,7 +80,7 @@ class DataSetScore:
             for row in part.score.by_split():
                 own = {"method": part.method} if part.method else {}
                 at = (part.method, row["split"])
-                rows[at] = own | rows.get(at, {}) | self._beside(part, row)
+                rows[at] = own | rows.get(at, {}) | self._prefixed(part, row)
         return list(rows.values())
 
     @property
@@ -90,8 +92,8 @@ class DataSetScore:
     def _splits(self) -> bool:
         return self.split == ALL_SPLITS
 
-    def _beside(self, part: ScoredMethod, row: Mapping[str, Any]) -> dict[str, Any]:
-        """Return a row, in which names of errors of a baseline beside predictions state that."""
+    def _prefixed(self, part: ScoredMethod, row: Mapping[str, Any]) -> dict[str, Any]:
+        """Return a row; the errors of a baseline have its prefix if there are predictions, too."""
         both = any(other.source == PREDICTIONS for other in self.parts)
         if part.source == PREDICTIONS or not both:
             return dict(row)
@@ -133,21 +135,21 @@ def score_dataset(
     if predictions is not None:
         folders = _folders_of(predictions, chosen, schema.methods)
         chosen = tuple(folders)
-    beside = baseline or schema.baseline
+    classical = baseline or schema.baseline
     parts: list[ScoredMethod] = []
     unable: dict[str, str] = {}
     for each in chosen:
         if each in folders:
             score = score_predictions(folders[each], dataset, split, each)
             parts.append(ScoredMethod(each, PREDICTIONS, score))
-        if beside:
+        if classical:
             try:
                 names = parts[-1].score.names if each in folders else SCORED
-                score = score_baseline(beside, dataset, split, each, names)
-                parts.append(ScoredMethod(each, beside, score))
+                score = score_baseline(classical, dataset, split, each, names)
+                parts.append(ScoredMethod(each, classical, score))
             except InputError as error:
                 unable[each] = str(error)
-    if not any(part.source == beside for part in parts) and (baseline or not parts):
+    if not any(part.source == classical for part in parts) and (baseline or not parts):
         raise InputError(next(iter(unable.values()), _NO_BASELINE))
     return DataSetScore(tuple(parts), split, unable)
 

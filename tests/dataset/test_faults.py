@@ -80,7 +80,7 @@ def test_no_scene_and_no_quantity_are_named(tmp_path, capsys) -> None:
         assert message in capsys.readouterr().err
 
 
-def test_a_folder_that_cannot_be_the_output_is_refused_before_computing(made, tmp_path, capsys):
+def test_a_folder_that_cannot_be_the_output_is_rejected_before_computing(made, tmp_path, capsys):
     """Expected: no store of samples next to it."""
     (tmp_path / "file").write_text("text", encoding="utf-8")
     (tmp_path / "mine").mkdir()

@@ -98,13 +98,13 @@ def test_three_methods_of_one_sensor_press_once(tmp_path: Path) -> None:
         for name in ("albedo", "pressure_kpa")
     )
     # Translucent ink: its own albedo, and that in front of the ball where the ball touches it.
-    alone, touched = (experiment.coating.albedo_over(albedo) for albedo in (0.0, 0.45))
-    assert touched > 1.02 * alone
+    bare, touched = (experiment.coating.albedo_over(albedo) for albedo in (0.0, 0.45))
+    assert touched > 1.02 * bare
     middle = gel.shape[0] // 2, gel.shape[1] // 2
     assert pressure[middle] > 0
     assert gel[middle] == pytest.approx(touched, rel=1e-5)
-    assert gel[0, 0] == pytest.approx(alone, rel=1e-5)
-    assert gel.min() > alone * (1 - 1e-5)
+    assert gel[0, 0] == pytest.approx(bare, rel=1e-5)
+    assert gel.min() > bare * (1 - 1e-5)
     ball = np.load(tmp_path / SAMPLE_FOLDER / "direct_fpp_albedo.npy")
     shown = np.load(tmp_path / SAMPLE_FOLDER / "direct_fpp_label.npy") == 2
     assert np.allclose(ball[shown], 0.45, rtol=1e-5)

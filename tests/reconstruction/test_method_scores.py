@@ -1,4 +1,4 @@
-"""Scores by method, by split and beside a baseline, on data sets that are written by hand."""
+"""Scores by method, by split and with a baseline, on data sets that are written by hand."""
 
 import json
 import shutil
@@ -65,13 +65,13 @@ def test_each_method_is_compared_with_its_own_truth(dataset, tmp_path) -> None:
 
 def test_the_files_of_one_method_may_be_in_the_folder_itself(dataset, tmp_path) -> None:
     folder = depths(tmp_path / "p", 0.004, base_mm=1.0)
-    alone = score_dataset(dataset, folder, method="direct_fpp").figures()
-    assert alone["direct_fpp_depth_bias_um"] == pytest.approx(4.0, abs=0.02)
-    assert not any("contact" in name for name in alone)
+    only = score_dataset(dataset, folder, method="direct_fpp").figures()
+    assert only["direct_fpp_depth_bias_um"] == pytest.approx(4.0, abs=0.02)
+    assert not any("contact" in name for name in only)
     (tmp_path / "q").mkdir()
     shutil.copytree(folder, tmp_path / "q" / "direct_fpp")
     for method in ("direct_fpp", ""):  # a method without a folder has no score
-        assert score_dataset(dataset, tmp_path / "q", method=method).figures() == alone
+        assert score_dataset(dataset, tmp_path / "q", method=method).figures() == only
 
 
 def test_a_set_of_one_method_has_the_figures_of_its_predictions(tmp_path) -> None:
@@ -107,7 +107,7 @@ def test_all_splits_have_a_row_each_and_the_split_of_each_object(tmp_path) -> No
     assert result.figures()["samples"] == 3
 
 
-def test_the_baseline_of_the_recipe_is_beside_the_predictions(dataset, tmp_path) -> None:
+def test_the_baseline_of_the_recipe_is_scored_with_the_predictions(dataset, tmp_path) -> None:
     """Expected: the phase of the decoder is 0.01 rad too large, on 9 of 12 columns.
 
     The other method has no decoded arrays: the reason is stated, its predictions are scored.
@@ -128,8 +128,8 @@ def test_the_baseline_of_the_recipe_is_beside_the_predictions(dataset, tmp_path)
     assert list(result.unable) == ["direct_fpp"]
     (row, *_) = result.by_object()
     assert row["baseline_phase_column_bias_rad"] == pytest.approx(0.01, rel=1e-3)
-    alone = score_dataset(dataset)
-    assert alone.figures()["contact_fpp_phase_column_bias_rad"] == pytest.approx(0.01, rel=1e-3)
+    only = score_dataset(dataset)
+    assert only.figures()["contact_fpp_phase_column_bias_rad"] == pytest.approx(0.01, rel=1e-3)
 
 
 @pytest.mark.parametrize(

@@ -129,7 +129,7 @@ def score(
     PREDICTIONS is a folder with files KEY.QUANTITY.npy: depth_mm, normal_world, phase_column_rad or
     phase_row_rad, in the shape and unit of the truth; NaN: no prediction. For a data set of several
     methods it has one folder for each: METHOD/KEY.QUANTITY.npy. A classical method is scored
-    beside the predictions; twin score DATASET scores it alone.
+    in addition; twin score DATASET scores only this method.
 
     Parameters
     ----------

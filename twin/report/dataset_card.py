@@ -138,7 +138,7 @@ def _contents(packed: PackedDataSet) -> list[str]:
 
 
 def _reasons(packed: PackedDataSet) -> list[str]:
-    """Return a line with the codes of masked pixels for each kind of method; nothing if unused."""
+    """Return a line with the codes of masked pixels for each kind of method; no line if unused."""
     if "decoded_reason" not in packed.recipe.sample.hold:
         return []
     methods = packed.recipe.sample.methods or [base.modality for base in packed.bases]
@@ -175,9 +175,9 @@ def _reading(packed: PackedDataSet) -> list[str]:
     }
     shown = ["```python", *lines[kind], "```", ""] if name else []
     baseline = packed.recipe.baseline
-    beside = f", beside the classical method `{baseline}`" if baseline else ""
+    also = f", and those of the classical method `{baseline}`" if baseline else ""
     score = "`twin score PREDICTIONS DATASET` compares files `KEY.QUANTITY.npy` with the truth"
-    return [*shown, f"{score}{beside}."]
+    return [*shown, f"{score}{also}."]
 
 
 def _distributions(packed: PackedDataSet) -> list[str]:

@@ -1,4 +1,4 @@
-"""Report page of predictions that are scored against a data set, beside a classical baseline."""
+"""Report page of predictions that are scored against a data set, with a classical baseline."""
 
 from collections.abc import Sequence
 from functools import partial
