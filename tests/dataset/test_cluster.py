@@ -19,7 +19,7 @@ def test_a_cluster_gives_the_bytes_of_one_process(made: MadeSet, tmp_path) -> No
     folder = tmp_path / "set"
     words = ["dataset", str(made.file), "-n", str(COUNT), "-o", str(folder)]
     with distributed.LocalCluster(
-        n_workers=1, threads_per_worker=1, processes=True, dashboard_address=None
+        n_workers=1, threads_per_worker=1, processes=True, dashboard_address=":0"
     ) as cluster:
         assert run([*words, "--cluster", cluster.scheduler_address]) == made.code
     names = sorted(path.name for path in made.folder.iterdir())
