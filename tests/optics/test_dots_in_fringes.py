@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy import stats
+from scipy.ndimage import maximum_filter, minimum_filter
 
 from reconstruction.markers import find_pattern
 from twin.config import load_experiment
@@ -61,7 +62,10 @@ def test_a_dot_multiplies_every_frame_by_its_reflectance(flat):
         for at, pitch in ((x, DOTS.pitch_x_mm), (y, DOTS.pitch_y_mm))
     ]
     distance_mm, pixel_mm = np.hypot(*away), 1.5 * np.abs(np.diff(x[60])).max()
-    inside, outside = distance_mm < DOTS.radius_mm - pixel_mm, distance_mm > 0.6 + pixel_mm
+    inside, outside = (
+        distance_mm < DOTS.radius_mm - pixel_mm,
+        (distance_mm > DOTS.radius_mm + pixel_mm),
+    )
     assert inside.sum() > 1000
     for before, after in zip(bare.frames, dotted.frames, strict=True):
         lit = before > 0.02 * bare.frames[-2].max()
@@ -130,7 +134,7 @@ def test_a_face_inside_one_dot_is_a_darker_coat(mi, experiment, bump):
 
 def test_stock_mitsuba_renders_the_same_dots(mi, experiment, bump):
     """Setup: dots on a bump, displaced; stock Mitsuba with a bitmap of one cell on the material
-    coordinates, 24 runs of one phase frame. Expected: per pixel Student's t; mean zero within
+    coordinates, 12 runs of one phase frame. Expected: per pixel Student's t; mean zero within
     its error.
     """
     from twin.optics import stock, stock_dots
@@ -167,7 +171,7 @@ def test_stock_mitsuba_renders_the_same_dots(mi, experiment, bump):
 
 
 def test_an_exported_scene_has_the_dots(mi, experiment, plane, tmp_path):
-    """Expected: a white frame at 256 samples, pixels within 13 % of white, mean within 0.1 %."""
+    """Expected of a white frame: 1 % of white in pixels without an edge, 0.1 % in the mean."""
     dotted = with_dots(experiment)
     face = moved(plane, lambda x, y: (0.5 + 0.0 * x, 0.03 * y))
     export_stock(dotted, face, tmp_path)
@@ -177,7 +181,9 @@ def test_an_exported_scene_has_the_dots(mi, experiment, plane, tmp_path):
     scene = mi.load_file(str(tmp_path / "scene.xml"), frame=name, optimize=False)
     stock = np.asarray(mi.render(scene, spp=256))[:, :, 0]
     ours = render(dotted, face).frames[index]
-    np.testing.assert_allclose(stock, ours, atol=0.13 * ours.max())
+    even = maximum_filter(ours, 3) - minimum_filter(ours, 3) < 0.05 * ours.max()
+    assert even.mean() > 0.5
+    np.testing.assert_allclose(stock[even], ours[even], atol=0.01 * ours.max())
     assert stock.mean() == pytest.approx(ours.mean(), rel=1e-3)
     shifted = render(dotted, plane).frames[index]
     assert np.abs(shifted - ours).max() > 0.5 * ours.max()

@@ -8,7 +8,6 @@ import pytest
 from benchmarks.coat_light import drift_left_um
 from reconstruction.evaluate.fit import fit_sphere
 from reconstruction.pipeline import reconstruct
-from twin.camera import expose
 from twin.config import load_experiment, vary
 from twin.optics.light import pattern_set
 from twin.pipeline import measure, record
@@ -16,6 +15,7 @@ from twin.pipeline.captures import options_of
 from twin.results.score import score, score_truth, wrong_orders
 
 from .conftest import CENTRE, IDEAL
+from .repeats import repeated_heights
 
 
 def decoded(experiment, recording):
@@ -101,24 +101,13 @@ def test_predicted_sigma_z_is_the_actual_spread(default, taps):
     """
     experiment, recording = default
     experiment = vary(experiment, {"decode.filter_taps": taps})
-    white = recording.capture.patterns.index("white").start
-    heights, sigmas, valid = [], [], True
-    for trial in range(16):
-        exposed = expose(experiment, recording.radiance.frames, white, trial)
-        capture = type(recording.capture)(
-            exposed.stack, recording.capture.patterns, exposed.sensor,
-            recording.capture.calibration, recording.capture.bit_depth,
-        )  # fmt: skip
-        points = reconstruct(capture, options_of(experiment.decode)).point_map
-        heights.append(points.points_world_mm[..., 2])
-        sigmas.append(points.sigma_z_mm)
-        valid = valid & points.valid
+    heights, sigmas, valid = repeated_heights(experiment, recording)
     spread = np.std(heights, axis=0, ddof=1)[valid]
     ratio = spread / np.mean(sigmas, axis=0)[valid]
     assert valid.sum() > 10_000
     assert np.median(ratio) == pytest.approx(0.9777, abs=8e-3)
     error = (heights - np.mean(heights, axis=0))[:, valid] / np.sqrt(1 - 1 / 16)
-    covered = np.abs(error) <= 1.96 * np.array(sigmas)[:, valid]
+    covered = np.abs(error) <= 1.96 * sigmas[:, valid]
     assert covered.mean() == pytest.approx(0.95, abs=4e-3)
 
 

@@ -6,7 +6,6 @@ from scipy.interpolate import RegularGridInterpolator
 
 from reconstruction.errors import InputError
 from reconstruction.pipeline import reconstruct
-from twin.camera import expose
 from twin.config import load_experiment, vary
 from twin.mechanics import material_points
 from twin.optics.checks import check_renderable
@@ -16,6 +15,8 @@ from twin.pipeline.captures import options_of
 from twin.pipeline.fringes import dots_warnings
 from twin.pipeline.lit_frames import albedo
 from twin.pipeline.press import PressedFace
+
+from .repeats import repeated_heights
 
 DOTS = {
     "photometric.markers": {
@@ -52,18 +53,7 @@ def test_sigma_inside_a_dot_is_the_scatter(recordings, covered):
     read noise, 1 / r.
     """
     experiment, recording, _ = recordings
-    white = recording.capture.patterns.index("white").start
-    heights, sigmas, valid = [], [], True
-    for trial in range(16):
-        exposed = expose(experiment, recording.radiance.frames, white, trial)
-        capture = type(recording.capture)(
-            exposed.stack, recording.capture.patterns, exposed.sensor,
-            recording.capture.calibration, recording.capture.bit_depth,
-        )  # fmt: skip
-        points = reconstruct(capture, options_of(experiment.decode)).point_map
-        heights.append(points.points_world_mm[..., 2])
-        sigmas.append(points.sigma_z_mm)
-        valid = valid & points.valid
+    heights, sigmas, valid = repeated_heights(experiment, recording)
     sigma = np.mean(sigmas, axis=0)
     ratio = np.std(heights, axis=0, ddof=1) / np.where(valid, sigma, 1.0)
     inside, outside = valid & (covered > 0.999), valid & (covered < 0.001)

@@ -128,7 +128,8 @@ def _contact_box(case: SheetCase, sheet: Sheet, state: SheetState) -> Box:
     Without contact it is the specimen's bounding box.
     """
     surface = sheet.surface(state.control_mm)
-    # Distances are exact only within a reach, which is shorter than this one on narrow cells.
+    # With the reach of the sheet alone, which is shorter on narrower cells, the lower limits of
+    # distant points would be near.
     touch = sheet.touch(surface[..., 0, :], state.travel_mm, sheet.reach_mm + _NEAR_MM)
     gap = sheet.gap_mm(surface, touch)[: case.parts].min(axis=0)
     near = gap < _NEAR_MM

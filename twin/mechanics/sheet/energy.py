@@ -214,7 +214,8 @@ class Sheet:
 
         A distance above `reach_mm` is only a lower limit of it; None: `Sheet.reach_mm`.
         """
-        points, reach_mm = self._lowered(place_mm, travel_mm), reach_mm or self.reach_mm
+        points = self._lowered(place_mm, travel_mm)
+        reach_mm = self.reach_mm if reach_mm is None else reach_mm
         distances = [body.evaluate(points, reach_mm) for body in self.bodies.moving]
         return _stacked(distances, place_mm.shape[:3])
 
