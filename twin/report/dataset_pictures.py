@@ -28,6 +28,7 @@ from twin.results.rows import is_number
 MOST_PICTURES = 24
 _ACROSS, _CELL_IN, _ROOM_IN, _GAP_IN = 6, 1.5, 0.3, 0.05
 _MOST_BINS, _PANEL_IN, _PANELS_ACROSS, _MOST_BARS = 30, 2.1, 4, 12
+_LEAST_LOG_RANGE = 3.0  # ratio of the ends of a logarithmic axis: its labels would overlap below
 _PICTURED = ("frames", "radiance", "image", "white")
 _MAPS = ("depth_mm", "phase_column_rad", "phase_row_rad", "pressure_kpa")
 
@@ -209,7 +210,7 @@ def _show_distribution(axes: Axes, values: Sequence[Any], *, log: bool) -> None:
         numbers = np.array(values, np.float64)
         low, high = float(numbers.min()), float(numbers.max())
         bins = min(_MOST_BINS, 2 + int(np.sqrt(len(numbers))))
-        if log and 0 < low < high:
+        if log and 0 < _LEAST_LOG_RANGE * low < high:
             axes.set_xscale("log")
             plain_log(axes.xaxis)
             edges = np.geomspace(low, high, bins + 1)

@@ -18,11 +18,11 @@ from twin.report.table import Column, Row, Table
 
 _PANEL_IN, _MOST_ROWS, _LOG_RANGE = 2.8, 200, 20.0
 _FIGURES = (
-    ("completeness", "completeness", 4),
-    ("rms", "RMS", 4),
-    ("mean_absolute", "mean absolute error", 4),
-    ("bias", "mean error", 4),
-    ("wrong_order_share", "share of wrong orders", 4),
+    ("completeness", "completeness"),
+    ("rms", "RMS"),
+    ("mean_absolute", "mean absolute error"),
+    ("bias", "mean error"),
+    ("wrong_order_share", "share of wrong orders"),
 )
 
 
@@ -76,7 +76,7 @@ def _section(method: str, result: DataSetScore) -> Section:
     columns = (
         Column("source", "source"),
         Column("quantity", "quantity"),
-        *(Column(key, heading, digits) for key, heading, digits in _FIGURES),
+        *(Column(key, heading, kind="number") for key, heading in _FIGURES),
     )
     shown = [column for column in columns if any(row.get(column.key) is not None for row in rows)]
     name = method or "errors"
@@ -109,8 +109,9 @@ def _error_rows(part: ScoredMethod) -> list[Row]:
         stem, unit = LABELS[quantity]
         quantity_text = f"{stem} ({unit})".replace("_", " ").replace("(um)", "(µm)")
         row: dict[str, Any] = {"source": _label_of(part), "quantity": quantity_text}
-        for key, _, _ in _FIGURES:
-            row[key] = figures.get(f"{stem}_{key}_{unit}", figures.get(f"{stem}_{key}"))
+        for key, _ in _FIGURES:
+            value = figures.get(f"{stem}_{key}_{unit}", figures.get(f"{stem}_{key}"))
+            row[key] = None if value is None else f"{value:.4g}"
         rows.append(row)
     return rows
 
@@ -119,7 +120,7 @@ def _object_table(name: str, rows: Sequence[dict[str, Any]]) -> Table:
     names = dict.fromkeys(key for row in rows for key in row if key != "method")
     kept = [key for key in names if "_rms_" in key or "_completeness" in key]
     first = [key for key in ("object", "split", "samples") if key in names]
-    columns = tuple(Column(key, _heading(key), 4) for key in (*first, *kept))
+    columns = tuple(Column(key, _heading(key), _decimals(key)) for key in (*first, *kept))
     cells = tuple({column.key: row.get(column.key) for column in columns} for row in rows)
     notes = (f"The first {_MOST_ROWS} of {len(rows)}; all are in objects.csv.",)
     return Table(
@@ -130,6 +131,10 @@ def _object_table(name: str, rows: Sequence[dict[str, Any]]) -> Table:
         cells[:_MOST_ROWS],
         notes if len(rows) > _MOST_ROWS else (),
     )
+
+
+def _decimals(key: str) -> int:
+    return 1 if key.endswith("_um") else 4
 
 
 def _heading(key: str) -> str:
