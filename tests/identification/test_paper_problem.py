@@ -97,6 +97,20 @@ def test_the_next_problem_frees_the_friction_of_every_sheet(loaded, following):
     assert (friction.low, friction.high) == (0.0, 2.0)
 
 
+def test_flakes_of_the_next_problem_differ_from_its_balls_only_in_coat_and_filter(following):
+    """The domain of the filter matters with flakes only; all else is as for the balls."""
+    problem, experiments = following
+    assert problem.alternatives["coat"].choices["flakes"].instead == {"balls": "balls_flakes"}
+    plain, flaked = experiments["balls"], experiments["balls_flakes"]
+    assert (plain.decode.weights, flaked.decode.weights) == ("equal", "modulation")
+    assert flaked.coating.glints is not None
+    alike = {"coating.glints": None, "decode.weights": "equal"}
+    same = vary(flaked, alike).model_dump(exclude={"provenance"})
+    assert same == plain.model_dump(exclude={"provenance"})
+    plain_fields = set(problem.free_in("balls"))
+    assert set(problem.free_in("balls_flakes")) == plain_fields | {"flake_um"}
+
+
 def test_the_next_problem_holds_out_the_row_of_the_stated_rule(loaded, following):
     """Of the fitted rows that were not held out in turn: the smallest relative SD."""
     problem = loaded[0]

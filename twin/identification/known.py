@@ -10,6 +10,7 @@ import numpy as np
 from reconstruction.arrays import FloatArray
 from reconstruction.errors import counted
 from twin.config.problem import SensorProblem
+from twin.identification.decisions import Decision, ExpectedFigure, decisions_of
 from twin.identification.emulator import Emulator
 from twin.identification.findings import (
     BoundCompared,
@@ -19,6 +20,7 @@ from twin.identification.findings import (
     PriorShift,
     Ridge,
     Worth,
+    draw_rows,
     interval_of,
     limits_met,
     prior_shifts,
@@ -26,7 +28,7 @@ from twin.identification.findings import (
     undetermined,
     worth_of,
 )
-from twin.identification.posterior import Posterior, likelihood_of, profile
+from twin.identification.posterior import Likelihood, Posterior, likelihood_of, profile
 from twin.identification.presentation import fields_in_short, posterior_drawing, samples_of
 
 if TYPE_CHECKING:
@@ -138,10 +140,22 @@ class Identified:
 
     def worth(self) -> list[Worth]:
         """Return the expected reduction of the fields' variances by each row of `worth`."""
-        candidates = likelihood_of(
-            self.problem, self.problem.worth, self.best.emulators, self.best.scatters
-        )
-        return worth_of(self.best.posterior, candidates, self.seed)
+        return worth_of(self.best.posterior, _candidates(self.problem, self.best), self.seed)
+
+    def decisions(self) -> list[Decision]:
+        """Return how well each row of `worth` decides each alternative, the best first."""
+        if not self.problem.worth:
+            return []
+        models = self.models
+        drawn = [draw_rows(m.posterior, _candidates(self.problem, m), self.seed) for m in models]
+        decisions = []
+        for number, (name, row) in enumerate(self.problem.worth.items()):
+            figures = [
+                ExpectedFigure(model.combination, model.probability, samples[:, number])
+                for model, samples in zip(models, drawn, strict=True)
+            ]
+            decisions += decisions_of(name, figures, row.sd, self.seed + 1)
+        return sorted(decisions, key=lambda decision: decision.before - decision.after)
 
     def prior_shifts(self) -> list[PriorShift]:
         """Return the change of the conclusions when the prior of each field is tilted."""
@@ -160,6 +174,11 @@ class Identified:
             shares, heights = profile(self.best.posterior, number)
             profiles[name] = free.value(shares), heights
         return profiles
+
+
+def _candidates(problem: SensorProblem, model: SensorModel) -> Likelihood:
+    """Return the likelihood of the rows of `worth` under one combination of choices."""
+    return likelihood_of(problem, problem.worth, model.emulators, model.scatters)
 
 
 def mixed(samples: list[FloatArray], weights: list[float], seed: int) -> FloatArray:

@@ -9,6 +9,7 @@
 | models | choices with their probabilities, the most probable first |
 | ridges | combinations of fields that cannot be separated, by components |
 | worth.NAME | remaining share of each field's variance if this were measured |
+| decisions | expected probability of the best choice of an alternative if a row were measured |
 | draws | joint samples within all stated ranges; equal indices of the lists are one sample |
 """
 
@@ -58,6 +59,7 @@ def summary_of(identified: Identified) -> dict[str, Any]:
         ],
         "ridges": [asdict(ridge) for ridge in identified.ridges()],
         "worth": {worth.row: dict(worth.shrink) for worth in identified.worth()},
+        "decisions": [asdict(decision) for decision in identified.decisions()],
         "draws": _draws(values, identified.values, identified.seed),
     }
     rounded: dict[str, Any] = _rounded(whole)

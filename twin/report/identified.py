@@ -362,7 +362,28 @@ def _worth(identified: Identified) -> list[Block]:
         "Remaining share of the present variance of each field (1: no gain) after a measurement "
         "with the stated standard deviation; the most informative measurement first."
     )
-    return [words, Table("worth", "", "", columns, tuple(rows))]
+    return [words, Table("worth", "", "", columns, tuple(rows)), *_decisions(identified)]
+
+
+def _decisions(identified: Identified) -> list[Block]:
+    decisions = identified.decisions()
+    if not decisions:
+        return []
+    columns = (
+        Column("row", "measurement"),
+        Column("alternative", "alternative"),
+        Column("before", "best choice now", 3),
+        Column("after", "best choice after the measurement", 3),
+    )
+    rows: tuple[Row, ...] = tuple(
+        {"row": d.row, "alternative": d.alternative, "before": d.before, "after": d.after}
+        for d in decisions
+    )
+    words = (
+        "Probability that the most probable choice of an alternative is the true one: now, and "
+        "expected after the measurement; the measurement that decides best first."
+    )
+    return [words, Table("decisions", "", "", columns, rows)]
 
 
 def _emulators(identified: Identified) -> list[Block]:
