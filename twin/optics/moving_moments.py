@@ -207,7 +207,10 @@ class MomentTracer:
         if (place, samples) not in self._traced:
             patches = self.scene.patches_at(self.sequence.time_s(place), samples)
             is_patch = (patches.spread_px <= SMOOTH_WITHIN_PX) | (patches.weight == 0.0)
-            self._traced[place, samples] = patches.mean_connection(mi.Bool(True)), is_patch
+            # Evaluated at once: otherwise a further number of moments would trace them again.
+            traced = patches.mean_connection(mi.Bool(True)), is_patch
+            dr.eval(traced)
+            self._traced[place, samples] = traced
         return self._traced[place, samples]
 
     def _at(self, place: float) -> tuple[Connection, Any]:

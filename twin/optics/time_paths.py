@@ -28,7 +28,7 @@ Values = TypeVar("Values", bound=Any)
 MOMENTS = (3, 5, 9)
 """Numbers of moments, from which the renderer chooses."""
 
-COORDINATE_PX = 0.01
+COORDINATE_PX = 0.03
 """Largest last coefficient of a projector coordinate, px; that of a further moment is smaller."""
 
 _WEIGHTS = ("on_columns", "on_rows")
