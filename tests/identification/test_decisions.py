@@ -73,7 +73,7 @@ def test_an_identification_ranks_the_deciding_measurement_first() -> None:
         SensorModel({"kind": choice}, 0.5, 0.5, known, {}, posterior, (), {})
         for choice, known in (("low", emulators), ("high", shifted))
     )
-    apart, alike = Identified(problem, models, seed=11).decisions()
+    apart, alike = Identified(problem, models, seed=11).decisions
     assert (apart.row, alike.row) == ("apart", "alike")
     # The fitted row halves the variance of x.
     exact = norm.cdf(1.5 / np.hypot(np.sqrt(0.5), 0.5))

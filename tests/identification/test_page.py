@@ -91,6 +91,9 @@ def test_the_summary_holds_rows_worth_and_joint_draws(folder):
     assert summary["rows"]["held"]["steps"] > 2.0
     assert summary["models"][0]["probability"] > 0.5
     assert set(summary["worth"]["depth"]) == {"thickness", "depth"}
+    decided = {(d["row"], d["alternative"]): d["after"] for d in summary["decisions"]}
+    # Far and free have a probability of 0: the rows have decided both alternatives.
+    assert decided == {("depth", "fit"): 1.0, ("depth", "layout"): 1.0}
     thickness, depth = (np.array(summary["draws"][name]) for name in ("thickness", "depth"))
     assert thickness.shape == depth.shape == (64,)
     assert np.corrcoef(thickness, depth)[0, 1] < -0.3
@@ -105,6 +108,7 @@ def test_the_page_lists_unexplained_rows_and_useful_measurements(folder):
     assert "held out, steered a choice" in text
     assert "held: far was added after this row" in text
     assert "Expected gain of one more measurement" in text
+    assert "best choice after the measurement" in text
     assert 'id="corner"' in text
     assert (folder / "figures" / "corner.png").stat().st_size > 0
 

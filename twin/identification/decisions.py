@@ -3,7 +3,7 @@
 A measurement decides if its expected value differs between the choices by more than its standard
 deviation and the remaining uncertainty of the fields. The measure is the expected posterior
 probability of the choice that is the most probable one after the measurement: the probability that
-this choice is the true one (Bayes decision; DeGroot, Optimal Statistical Decisions, 1970, ch. 11).
+this choice is the true one (Bayes decision; DeGroot, Optimal Statistical Decisions, 1970).
 """
 
 from collections.abc import Mapping, Sequence
@@ -39,7 +39,7 @@ class Decision:
     after: float
 
 
-def model_probabilities(
+def _model_probabilities(
     figures: Sequence[FloatArray], weights: Sequence[float], sd: float, seed: int
 ) -> FloatArray:
     """Return the probability (model, value) of every model at values that may be measured.
@@ -104,7 +104,7 @@ def decisions_of(
     kept = [model for model in models if model.probability >= _IMPROBABLE]
     weights = np.array([model.probability for model in kept])
     weights /= weights.sum()
-    chances = model_probabilities([m.samples for m in kept], weights.tolist(), sd, seed)
+    chances = _model_probabilities([m.samples for m in kept], weights.tolist(), sd, seed)
     decisions = []
     for alternative in models[0].combination:
         chosen = np.array([model.combination[alternative] for model in kept])

@@ -142,20 +142,21 @@ class Identified:
         """Return the expected reduction of the fields' variances by each row of `worth`."""
         return worth_of(self.best.posterior, _candidates(self.problem, self.best), self.seed)
 
-    def decisions(self) -> list[Decision]:
-        """Return how well each row of `worth` decides each alternative, the best first."""
+    @cached_property
+    def decisions(self) -> tuple[Decision, ...]:
+        """How well each row of `worth` decides each alternative, the best first."""
         if not self.problem.worth:
-            return []
+            return ()
         models = self.models
         drawn = [draw_rows(m.posterior, _candidates(self.problem, m), self.seed) for m in models]
-        decisions = []
+        decisions: list[Decision] = []
         for number, (name, row) in enumerate(self.problem.worth.items()):
             figures = [
                 ExpectedFigure(model.combination, model.probability, samples[:, number])
                 for model, samples in zip(models, drawn, strict=True)
             ]
             decisions += decisions_of(name, figures, row.sd, self.seed + 1)
-        return sorted(decisions, key=lambda decision: decision.before - decision.after)
+        return tuple(sorted(decisions, key=lambda decision: decision.before - decision.after))
 
     def prior_shifts(self) -> list[PriorShift]:
         """Return the change of the conclusions when the prior of each field is tilted."""

@@ -118,7 +118,7 @@ def figures_of(identified: Identified) -> dict[str, Any]:
         "undetermined": identified.undetermined(),
         "priors": [asdict(shift) for shift in identified.prior_shifts()],
         "worth": [asdict(worth) for worth in identified.worth()],
-        "decisions": [asdict(decision) for decision in identified.decisions()],
+        "decisions": [asdict(decision) for decision in identified.decisions],
         "emulators": {
             name: {
                 "cross_validated_rmse": emulator.cross_validated_rmse,

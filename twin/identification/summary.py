@@ -59,7 +59,7 @@ def summary_of(identified: Identified) -> dict[str, Any]:
         ],
         "ridges": [asdict(ridge) for ridge in identified.ridges()],
         "worth": {worth.row: dict(worth.shrink) for worth in identified.worth()},
-        "decisions": [asdict(decision) for decision in identified.decisions()],
+        "decisions": [asdict(decision) for decision in identified.decisions],
         "draws": _draws(values, identified.values, identified.seed),
     }
     rounded: dict[str, Any] = _rounded(whole)

@@ -366,7 +366,7 @@ def _worth(identified: Identified) -> list[Block]:
 
 
 def _decisions(identified: Identified) -> list[Block]:
-    decisions = identified.decisions()
+    decisions = identified.decisions
     if not decisions:
         return []
     columns = (
