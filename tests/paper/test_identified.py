@@ -15,6 +15,7 @@ from twin.paper.identified import (
     PROBLEMS,
     bounds_table,
     choices_table,
+    decisions_table,
     draw_ridges,
     fields_table,
     identified_rows_table,
@@ -147,6 +148,16 @@ def test_tables_have_every_field_choice_and_measurement():
         name = str(row["choice"]).partition(":")[0]
         by_alternative[name] = by_alternative.get(name, 0.0) + row["probability"]
     assert all(total == pytest.approx(1.0, abs=1e-3) for total in by_alternative.values())
+
+
+def test_decisions_name_the_measurement_and_the_alternative(monkeypatch):
+    assert decisions_table().notes == ("The stored solution has no decisions.",)
+    decision = {"row": "caliper", "alternative": "sphere_fit", "before": 0.6, "after": 0.8}
+    solved = dict(identified()) | {"decisions": [decision]}
+    monkeypatch.setattr(identified_module, "identified", lambda: solved)
+    (row,) = decisions_table().rows
+    assert row["measurement"] == problem().worth["caliper"].source
+    assert (row["alternative"], row["before"], row["after"]) == ("sphere fit", 0.6, 0.8)
 
 
 def test_ridges_are_drawn(tmp_path):

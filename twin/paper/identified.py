@@ -310,6 +310,32 @@ def worth_table() -> Table:
     return Table("identified_worth", title, "", columns, tuple(rows), (words,))
 
 
+def decisions_table() -> Table:
+    """Return the table of how well one more measurement decides a discrete alternative.
+
+    The best decision is in the first row. Empty for a solution without stored decisions.
+    """
+    rows: tuple[dict[str, Cell], ...] = tuple(
+        {
+            "measurement": problem().worth[decision["row"]].source,
+            "alternative": decision["alternative"].replace("_", " "),
+            "before": decision["before"],
+            "after": decision["after"],
+        }
+        for decision in identified().get("decisions", ())
+    )
+    columns = (
+        Column("measurement", "measurement"),
+        Column("alternative", "alternative"),
+        Column("before", "probability of the best choice now", 2),
+        Column("after", "expected after the measurement", 2),
+    )
+    words = "Probability that the most probable choice is the true one, on average over readings."
+    missing = "The stored solution has no decisions."
+    title = "Which measurement would decide an alternative"
+    return Table("identified_decisions", title, "", columns, rows, (words if rows else missing,))
+
+
 def draw_ridges(_cases: Path, stem: Path) -> None:
     """Draw joint posterior samples of the pairs of fields with the largest correlation."""
     pairs = _strongest_pairs()

@@ -34,7 +34,13 @@ SECTIONS = (
         "identified",
         "The sensor as identified: paper, twin, fitted or predicted",
         ("ridges",),
-        ("identified", "identified_fields", "identified_choices", "identified_worth"),
+        (
+            "identified",
+            "identified_fields",
+            "identified_choices",
+            "identified_worth",
+            "identified_decisions",
+        ),
     ),
     PageSection("sensor", "Sensor and elastomer", ("concept", "setup", "hardness"), ("hardness",)),
     PageSection(

@@ -27,7 +27,7 @@ BALLS, NUT = "two_balls", "nut"
 
 @lru_cache
 def identified() -> dict[str, Any]:
-    """Return the stored summary of `twin identify paper/identify`.
+    """Return the stored summary of the last `twin identify` of the paper's sensor.
 
     Its keys are those of `twin.identification.summary`.
     """
@@ -40,8 +40,8 @@ def chosen(alternative: str) -> str:
     return choice
 
 
-_FORM = {"bars": "bars", "round": "rods"}[chosen("form")]
-RODS = tuple(f"{_FORM}_{letter}" for letter in "abc")
+RODS = tuple(f"bars_{letter}" for letter in "abc")
+"""Acrylic rods as rectangular bars: round ones have a probability of 0.02 in the first solution."""
 WIDTH = {
     "half_height": "rod_width_mm",
     "slope_break": "rod_break_width_mm",

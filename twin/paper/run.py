@@ -42,6 +42,7 @@ from twin.paper.identified import (
     bounds_table,
     cases_of_pictures,
     choices_table,
+    decisions_table,
     fields_table,
     identified_rows_table,
     pictures_table,
@@ -122,6 +123,7 @@ TABLES: Mapping[str, PaperTable] = {
     "identified_bounds": PaperTable("identified", lambda _: bounds_table()),
     "identified_choices": PaperTable("identified", lambda _: choices_table()),
     "identified_worth": PaperTable("identified", lambda _: worth_table()),
+    "identified_decisions": PaperTable("identified", lambda _: decisions_table()),
     "hardness": PaperTable("hardness", lambda _: hardness_table()),
     "rods": PaperTable("rods", lambda run: rods_table(run.rod_trials()), TRIALS_OF_RODS),
     "sphere_fit": PaperTable(
