@@ -209,16 +209,18 @@ def adopted(seed: int) -> AdoptedCase:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         given, truth = record(folder, experiment)
-        found = adopt(given)
+        adopted = adopt(given)
         (folder / "out").mkdir()
-        write_adopted(folder / "out", found, given)
+        write_adopted(folder / "out", adopted, given)
     estimates = {
         path: (float(field.value), field.uncertainty)
-        for path, field in found.fields.items()
+        for path, field in adopted.fields.items()
         if field.uncertainty is not None
     }
-    misfit_px = max(found.placed.misfit_px)
-    return AdoptedCase(hidden, estimates, misfit_px, found.two_period_chi2, *orders(found, truth))
+    misfit_px = max(adopted.placed.misfit_px)
+    return AdoptedCase(
+        hidden, estimates, misfit_px, adopted.two_period_chi2, *orders(adopted, truth)
+    )
 
 
 def figures_of(cases: list[AdoptedCase]) -> dict[str, Any]:

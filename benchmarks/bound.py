@@ -65,15 +65,15 @@ METRIC = "crb_radius_um"
 def main() -> None:
     """Print one JSON line; each part prints the figures so far."""
     quick = quick_parser(__doc__, "fewer measurements and points").parse_args().quick
-    found: dict[str, float] = {}
+    figures: dict[str, float] = {}
     for part in (
         lambda: against_spread(60 if quick else 250),
         lambda: pace((4, 3, 4) if quick else (8, 4, 10)),
         lambda: {"gradient_rel": gradient_error()},
         lambda: evaluations(64 if quick else 512),
     ):
-        found |= part()
-        print_figures(found)
+        figures |= part()
+        print_figures(figures)
 
 
 def against_spread(count: int) -> dict[str, float]:

@@ -75,11 +75,11 @@ def length_errors_um(
 def parameter_errors(done: BoardCalibration) -> dict[str, float]:
     """Return relative errors of focal lengths and baseline, and errors over stated uncertainty."""
     truth = done.truth or {}
-    found = {p.name: p for p in done.result.parameters}
+    calibrated = {p.name: p for p in done.result.parameters}
     groups = {"focal": ("camera_fx_px", "projector_fx_px"), "baseline": ("baseline_mm",)}
     figures = {}
     for group, names in groups.items():
-        rows = [(found[name], found[name].value - truth[name]) for name in names]
+        rows = [(calibrated[name], calibrated[name].value - truth[name]) for name in names]
         figures[f"{group}_rel"] = max(abs(e) / truth[p.name] for p, e in rows)
         figures[f"{group}_over_expanded"] = max(abs(e) / p.expanded for p, e in rows)
         figures[f"{group}_expanded_rel"] = max(p.expanded / p.value for p, _ in rows)

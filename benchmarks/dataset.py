@@ -235,11 +235,11 @@ def least_p(scratch: Path, draws: int = 2000) -> float:
         "specimen.rms_um": stats.loguniform(10.0, 200.0),
     }
     levels = [levels_of(recipe, recipe.scene[0], number) for number in range(draws)]
-    found = [
+    probabilities = [
         stats.kstest([level[name].label for level in levels], law.cdf).pvalue
         for name, law in laws.items()
     ]
-    return float(min(*found, _p_of_input(recipe, base, draws)))
+    return float(min(*probabilities, _p_of_input(recipe, base, draws)))
 
 
 def _p_of_input(recipe: Recipe, base: Experiment, draws: int) -> float:

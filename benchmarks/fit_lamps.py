@@ -148,10 +148,10 @@ def rows_of(channel: str, values: FloatArray) -> Rows:
 
 def _row(channel: str, values: FloatArray, fill: float) -> Lamp:
     names = [one.name for one in unknowns(channel, 0.0)]
-    found = dict(zip(names, map(float, values), strict=True)) | FIXED[channel] | ALIKE
-    found["flux_mw"] = float(np.exp(found.pop("log_flux")))
-    found["aim_azimuth_deg"] = (found["aim_azimuth_deg"] + 180.0) % 360.0 - 180.0
-    return Lamp.model_validate(found | {"channel": channel, "fill_mw_per_mm2": fill})
+    values_by_name = dict(zip(names, map(float, values), strict=True)) | FIXED[channel] | ALIKE
+    values_by_name["flux_mw"] = float(np.exp(values_by_name.pop("log_flux")))
+    values_by_name["aim_azimuth_deg"] = (values_by_name["aim_azimuth_deg"] + 180.0) % 360.0 - 180.0
+    return Lamp.model_validate(values_by_name | {"channel": channel, "fill_mw_per_mm2": fill})
 
 
 @dataclass(frozen=True, eq=False)
@@ -286,10 +286,10 @@ def _solved(shading: Shading, channel: str, tolerance: float) -> Any:
     per_spot = 1.0 / np.sqrt(np.bincount(presses.of_press)[presses.of_press])
 
     def residuals(values: FloatArray) -> FloatArray:
-        found = shading.image(rows_of(channel, values))
-        tiles = TILE_WEIGHTS * (found.tiles.reshape(3, 3) - UNITS[:, number])
-        before = found.before - presses.before[:, number]
-        change = found.during - found.before - presses.change[:, number]
+        image = shading.image(rows_of(channel, values))
+        tiles = TILE_WEIGHTS * (image.tiles.reshape(3, 3) - UNITS[:, number])
+        before = image.before - presses.before[:, number]
+        change = image.during - image.before - presses.change[:, number]
         own = BEFORE_WEIGHT * per_spot * before, per_spot * change, (values - start) / spread
         return np.concatenate([tiles.ravel(), *own])
 
@@ -299,15 +299,15 @@ def _solved(shading: Shading, channel: str, tolerance: float) -> Any:
 def figures(shading: Shading, lamps: dict[str, Rows]) -> dict[str, float]:
     """Return the residual of the closed form."""
     images, presses = {c: shading.image(lamps[c]) for c in CHANNELS}, shading.presses
-    found = np.stack([images[c].tiles.reshape(3, 3) for c in CHANNELS])
+    background = np.stack([images[c].tiles.reshape(3, 3) for c in CHANNELS])
     before = np.stack([images[c].before for c in CHANNELS], axis=-1)
     during = np.stack([images[c].during for c in CHANNELS], axis=-1)
     change = during - before - presses.change
-    print("background\n", np.round(found, 1))
+    print("background\n", np.round(background, 1))
     for name, part in (("before", before - presses.before), ("change", change)):
         print(name, "residual by channel", np.sqrt(np.mean(part**2, axis=0)).round(2))
     return {
-        "background_rms_grey": _rms(UNITS - found),
+        "background_rms_grey": _rms(UNITS - background),
         "units_apart_rms_grey": _rms(UNITS - UNITS.mean(axis=0)),
         "before_rms_grey": _rms(before - presses.before),
         "change_rms_grey": _rms(change),
@@ -352,10 +352,10 @@ def main() -> None:
     parser.add_argument("--write", action="store_true", help=f"write {FILE.name}")
     to_write = parser.parse_args().write
     shading = shading_of(load_experiment("examples/gelsight_ball", {"modality": "contact_fpp"}))
-    found = {channel: fit(shading, channel) for channel in track(CHANNELS, "fitting")}
-    residual = figures(shading, found)
+    lamps = {channel: fit(shading, channel) for channel in track(CHANNELS, "fitting")}
+    residual = figures(shading, lamps)
     if to_write:
-        write(FILE, {name: row for rows in found.values() for name, row in rows.items()}, residual)
+        write(FILE, {name: row for rows in lamps.values() for name, row in rows.items()}, residual)
     print_figures(residual)
 
 

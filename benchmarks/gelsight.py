@@ -130,13 +130,13 @@ def photographed(experiment: Any, case: Any, number: int) -> Shot:
 def cap_ratios(experiment: Any, shots: list[Shot]) -> dict[str, list[float]]:
     """Return measured over true cap heights of every shot, by integration scheme."""
     sensor, calibration = calibrated_sensor(experiment, SENSORS)
-    found = {}
+    ratios = {}
     for name, scheme in SCHEMES.items():
         decoder = PhotometricDecoder(calibration, PhotometricOptions(integration=scheme))
         heights = ((decoder.decode(shot.image).height_mm, shot.circle) for shot in shots)
         ball = BALL_MM / 2, sensor.pitch_mm
-        found[name] = [cap_height_ratio(*height, *ball) for height in heights]
-    return found
+        ratios[name] = [cap_height_ratio(*height, *ball) for height in heights]
+    return ratios
 
 
 def balls(experiment: Any, shots: list[Shot]) -> dict[str, float]:
@@ -190,13 +190,13 @@ def _azimuth_error_deg(real: RealPresses, change: Any) -> float:
 
 def _edge(unit: Twins) -> dict[str, float]:
     """Colour difference by distance in contact radii, over that of real presses."""
-    found = []
+    changes = []
     for press, circle in zip(unit.presses, unit.circles, strict=True):
         if press.ball_diameter_mm == BALL_MM and whole(circle, press.image.shape):
             change = np.linalg.norm(press.image - unit.still.astype(float), axis=-1)
             at = distance_px(press.image.shape, circle) / circle.radius_px
-            found.append([change[abs(at - ratio) < 0.05].mean() for ratio in REAL_EDGE])
-    ratios = np.mean(found, axis=0) / list(REAL_EDGE.values())
+            changes.append([change[abs(at - ratio) < 0.05].mean() for ratio in REAL_EDGE])
+    ratios = np.mean(changes, axis=0) / list(REAL_EDGE.values())
     print("colour difference over real, by contact radii", list(REAL_EDGE), ratios.round(2))
     by_place = dict(zip(REAL_EDGE, map(float, ratios), strict=True))
     names = {"edge_peak_ratio": 1.0, "edge_ratio": 1.2, "skirt_ratio": 1.5}
@@ -237,11 +237,11 @@ def halves(unit: Twins) -> dict[str, float]:
 
 def _by_ball(name: str, values: Sequence[tuple[float, float]]) -> float:
     """Print the means of both balls and of real presses; return the mean of all presses."""
-    found = np.array(values)
-    for ball_mm, real in zip(np.unique(found[:, 0]), REAL[name], strict=True):
-        part = found[found[:, 0] == ball_mm, 1]
+    table = np.array(values)
+    for ball_mm, real in zip(np.unique(table[:, 0]), REAL[name], strict=True):
+        part = table[table[:, 0] == ball_mm, 1]
         print(f"{name}, {ball_mm:g} mm balls: {part.mean():.3g} +- {part.std():.2g}, real {real}")
-    return float(found[:, 1].mean())
+    return float(table[:, 1].mean())
 
 
 def _rms(values: Any) -> float:

@@ -103,9 +103,9 @@ def every_identified(
     noise = rng.standard_normal((len(sensors), len(problem.rows)))
     workers = local_workers(2)
     executor = workers.open()
-    found = list(executor.map(partial(identified, problem, simulated), sensors, noise))
+    solutions = list(executor.map(partial(identified, problem, simulated), sensors, noise))
     workers.close(executor)
-    return found
+    return solutions
 
 
 def covered(marginal: Marginal, value: float) -> tuple[bool, bool]:
@@ -150,13 +150,13 @@ def synthetic_figures(quick: bool) -> dict[str, float | int]:
     with tempfile.TemporaryDirectory() as folder:
         simulated = simulate(whole, experiments, Path(folder) / "whole", local_workers(2))
         hidden = hidden_sensors(whole, sensors, Path(folder) / "hidden")
-        found = every_identified(whole, simulated, hidden, rng)
+        solutions = every_identified(whole, simulated, hidden, rng)
         reliefs = simulate(relief, experiments, Path(folder) / "relief", local_workers(2))
         few = hidden_sensors(relief, ridge_sensors, Path(folder) / "hidden_relief")
         ridges = [result.ridges() for result in every_identified(relief, reliefs, few, rng)]
-    pairs = [(result.intervals(), sensor) for result, sensor in zip(found, hidden, strict=True)]
+    pairs = [(result.intervals(), sensor) for result, sensor in zip(solutions, hidden, strict=True)]
     hits = np.array([covered(i[name], sensor[name]) for i, sensor in pairs for name in FREE])
-    emulators = found[0].best.emulators
+    emulators = solutions[0].best.emulators
     errors = [emulators[n].cross_validated_rmse / row.sd for n, row in whole.rows.items()]
     return {
         "coverage_68": float(hits[:, 0].mean()),

@@ -72,17 +72,17 @@ def main() -> int:
     if options.sweep:
         sweep(record_of(options.quick), options.sweep, local_workers(2), make_measurer=Logged)
         return 0
-    found: dict[str, object] = {}
+    figures: dict[str, object] = {}
     with tempfile.TemporaryDirectory() as name:
         scratch, kills = Path(name), options.kills or (8 if options.quick else 100)
         only = options.only or (*TARGETS, "study")
         if names := [name for name in TARGETS if name in only]:
-            found |= kill_commands(scratch / "commands", kills, options.seed, names)
+            figures |= kill_commands(scratch / "commands", kills, options.seed, names)
         if "study" in only:
-            found |= killed_and_compared(scratch, options.quick, random.Random(options.seed))
-    print(json.dumps(found))
+            figures |= killed_and_compared(scratch, options.quick, random.Random(options.seed))
+    print(json.dumps(figures))
     faults = ("mixed", "unreadable", "computed_twice", "partial_folders")
-    return int(any(map(found.get, faults)) or not found.get("table_identical", True))
+    return int(any(map(figures.get, faults)) or not figures.get("table_identical", True))
 
 
 def killed_and_compared(scratch: Path, quick: bool, rng: random.Random) -> dict:

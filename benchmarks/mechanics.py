@@ -209,10 +209,10 @@ def contact_mechanics_s(height_mm: np.ndarray) -> float | None:
         PeriodicFFTElasticHalfSpace((CELLS, CELLS), 1.0, size, thickness=THICKNESS_MM, poisson=NU),
         Topography(-far, size, periodic=True),
     )
-    found_s = cpu_s(lambda: system.minimize_proxy(offset=DEPTH_MM, pentol=1e-5 * DEPTH_MM), 1)
+    peer_s = cpu_s(lambda: system.minimize_proxy(offset=DEPTH_MM, pentol=1e-5 * DEPTH_MM), 1)
     force, own = float(system.compute_normal_force()), bonded_force(height_mm)
-    print(f"ContactMechanics: {found_s:.2f} s, F / E {force:.5f}, here {own:.5f}", flush=True)
-    return found_s
+    print(f"ContactMechanics: {peer_s:.2f} s, F / E {force:.5f}, here {own:.5f}", flush=True)
+    return peer_s
 
 
 def fft_pair_s() -> float:

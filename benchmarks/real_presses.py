@@ -160,12 +160,12 @@ def read_presses(file: Path = FILE) -> RealPresses:
 
 def twins(sensor: ColourSensor, presses: tuple[RealPress, ...]) -> list[BallPress]:
     """Photograph the same presses with a rendered sensor."""
-    found = []
+    rendered = []
     for number, press in enumerate(presses):
         case = case_of(sensor.experiment, press)
         face = seen_face(case, press_specimen(case))
-        found.append(BallPress(sensor.image(face, FIRST_TWIN + number), press.ball_mm))
-    return found
+        rendered.append(BallPress(sensor.image(face, FIRST_TWIN + number), press.ball_mm))
+    return rendered
 
 
 def case_of(experiment: Experiment, press: RealPress) -> Experiment:
@@ -205,12 +205,12 @@ def spots_of(image: Any, circle: ContactCircle) -> tuple[FloatArray, FloatArray]
 def _rows(presses: list[BallPress], background: Any) -> list[dict[str, Any]]:
     rows, flat = [], smoothed(mean_background([background]), 3)
     for number, press in enumerate(presses):
-        found = find_contact_circle(smoothed(press.image, 3), flat)
+        circle = find_contact_circle(smoothed(press.image, 3), flat)
         place = {
             "ball_mm": press.ball_diameter_mm,
-            "x_mm": round((found.col_px - (WIDTH_PX - 1) / 2) * PITCH_MM, 3),
-            "y_mm": round(((HEIGHT_PX - 1) / 2 - found.row_px) * PITCH_MM, 3),
-            "contact_mm": round(found.radius_px * PITCH_MM, 3),
+            "x_mm": round((circle.col_px - (WIDTH_PX - 1) / 2) * PITCH_MM, 3),
+            "y_mm": round(((HEIGHT_PX - 1) / 2 - circle.row_px) * PITCH_MM, 3),
+            "contact_mm": round(circle.radius_px * PITCH_MM, 3),
         }
         # As rounded in the file, so that a twin has the same spots.
         circle = circle_of(RealPress(**place))

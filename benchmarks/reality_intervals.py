@@ -283,10 +283,13 @@ def is_right(observed: Sequence[Observation]) -> bool:
         "projector_fy_px": PROJECTOR.fy_px,
     }
     try:
-        found = {p.name: p for p in calibrate(observed).parameters}
+        calibrated = {p.name: p for p in calibrate(observed).parameters}
     except InputError:
         return False
-    return all(abs(found[name].value - f) <= 5.0 * found[name].sigma for name, f in wanted.items())
+    return all(
+        abs(calibrated[name].value - f) <= 5.0 * calibrated[name].sigma
+        for name, f in wanted.items()
+    )
 
 
 def refused_rightly() -> float:

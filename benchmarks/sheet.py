@@ -75,12 +75,12 @@ def against_solid(name: str) -> tuple[float, float]:
     sheet = elastomer(thickness_mm=case["thickness_mm"], outline="round", friction=friction)
     faces, forces = [], []
     for solid in case["travels"]:
-        found = pressed(Ball(), sheet, solid["travel_mm"], relief_pitch_mm=0.05)
-        x, y = np.meshgrid(found.face_x_mm, found.face_y_mm)
+        pressed_sheet = pressed(Ball(), sheet, solid["travel_mm"], relief_pitch_mm=0.05)
+        x, y = np.meshgrid(pressed_sheet.face_x_mm, pressed_sheet.face_y_mm)
         r, tabled = np.hypot(x, y), 0.1 * np.arange(len(solid["upper_z_mm"]))
-        error = found.face_z_mm - CubicSpline(tabled, solid["upper_z_mm"])(r)
+        error = pressed_sheet.face_z_mm - CubicSpline(tabled, solid["upper_z_mm"])(r)
         faces.append(1e3 * float(np.abs(error)[r < tabled[-1]].max()))
-        forces.append(found.force_n / (1e-3 * YOUNG_KPA) / solid["force"] - 1)
+        forces.append(pressed_sheet.force_n / (1e-3 * YOUNG_KPA) / solid["force"] - 1)
         values = f"face {faces[-1]:.2f} um, force {forces[-1]:+.2%}"
         print(f"{name}, travel {solid['travel_mm']:g}: {values}", flush=True)
     return max(faces), float(np.abs(forces).max())
@@ -91,13 +91,13 @@ def solids(quick: bool) -> Figures:
     names = ["free_h0.2", "free_h0.5", "free_h1", "stick_h0.5"]
     if not quick:
         names += ["free_h0.1", "free_h0.3", "stick_h0.2", "stick_h1"]
-    found = {name: against_solid(name) for name in names}
+    figures = {name: against_solid(name) for name in names}
     return {
-        "solid_max_um_h02": found["free_h0.2"][0],
-        "solid_max_um_h05": found["free_h0.5"][0],
-        "solid_max_um_h10": found["free_h1"][0],
-        "force_rel_h02": found["free_h0.2"][1],
-        "stick_force_rel_h05": found["stick_h0.5"][1],
+        "solid_max_um_h02": figures["free_h0.2"][0],
+        "solid_max_um_h05": figures["free_h0.5"][0],
+        "solid_max_um_h10": figures["free_h1"][0],
+        "force_rel_h02": figures["free_h0.2"][1],
+        "stick_force_rel_h05": figures["stick_h0.5"][1],
     }
 
 
@@ -148,15 +148,15 @@ def nut(quick: bool) -> Figures:
     """Measure the M6 nut: width over the flats, which face +-y, and depth of the hole."""
     flats, depth = [], []
     for pressure in (1.0, 3.0):
-        found = pressed(Nut(), elastomer(), 1.0, back_pressure_kpa=pressure)
-        assert found.sheet is not None
-        for col in np.flatnonzero(np.abs(found.face_x_mm) <= 1.0)[::10]:
-            thick = found.sheet.thickness_mm[:, col]
-            edge_z = found.depth_mm - THIN_MM + edge_of_flats_mm(found.face_x_mm[col])
-            section = found.face_y_mm, found.face_z_mm[:, col]
+        face = pressed(Nut(), elastomer(), 1.0, back_pressure_kpa=pressure)
+        assert face.sheet is not None
+        for col in np.flatnonzero(np.abs(face.face_x_mm) <= 1.0)[::10]:
+            thick = face.sheet.thickness_mm[:, col]
+            edge_z = face.depth_mm - THIN_MM + edge_of_flats_mm(face.face_x_mm[col])
+            section = face.face_y_mm, face.face_z_mm[:, col]
             width, steepest = flank_width_mm(*section, thick, edge_z)
             flats.append(width - Nut().across_flats_mm)
-        depth.append(hole_depth_mm(found))
+        depth.append(hole_depth_mm(face))
         values = f"error of the flats {flats[-1]:+.3f} mm, hole {depth[-1]:.3f} mm deep"
         print(f"nut, {pressure:g} kPa: {values}, coat at its steepest {steepest:.3f} mm wide")
     figures: Figures = {
@@ -174,9 +174,9 @@ def balls(quick: bool) -> Figures:
     """Fit spheres to both balls of the pair; 4.23 +- 0.02 is the target for every region."""
     radii = []
     for pressure in (1.0, 3.0):
-        found = pressed(TwoBalls(), elastomer(), 1.0, back_pressure_kpa=pressure)
-        x, y = np.meshgrid(found.face_x_mm, found.face_y_mm)
-        points = np.stack((x, y, found.face_z_mm), axis=-1)
+        face = pressed(TwoBalls(), elastomer(), 1.0, back_pressure_kpa=pressure)
+        x, y = np.meshgrid(face.face_x_mm, face.face_y_mm)
+        points = np.stack((x, y, face.face_z_mm), axis=-1)
         for region in REGIONS_MM:
             for middle in (-4.0, 4.0):
                 near = np.hypot(x - middle, y) < region
@@ -192,10 +192,10 @@ def halved(quick: bool) -> Figures:
     if quick:
         return {}
     for cell in (0.15, 0.075):
-        found = pressed(TwoBalls(), elastomer(), 1.0, back_pressure_kpa=3.0, cell_mm=cell)
-        x, y = np.meshgrid(found.face_x_mm, found.face_y_mm)
+        face = pressed(TwoBalls(), elastomer(), 1.0, back_pressure_kpa=3.0, cell_mm=cell)
+        x, y = np.meshgrid(face.face_x_mm, face.face_y_mm)
         near = np.hypot(x - 4.0, y) < max(REGIONS_MM)
-        faces.append(found.face_z_mm[near])
+        faces.append(face.face_z_mm[near])
         radii.append(fit_sphere(np.stack((x[near], y[near], faces[-1]), axis=-1)).radius_mm)
     return {
         "balls_halved_um": 1e3 * float(np.abs(faces[1] - faces[0]).max()),
@@ -213,17 +213,17 @@ def bars(quick: bool) -> Figures:
     for width in () if quick else WIDTHS_MM:
         bar = Bar(width_mm=width, length_mm=15.0)
         try:
-            found = pressed(bar, elastomer(), 1.0, **load)
+            face = pressed(bar, elastomer(), 1.0, **load)
         except (PressError, SolverError) as error:
             print(f"bar {width:g}: {error}", flush=True)
             over, under = [], []
             break
-        assert found.sheet is not None
-        row, cell = found.face_y_mm.size // 2, found.y_mm.size // 2
-        level = found.depth_mm - bar.height_mm / 3
-        upper, places = width_mm(found.face_x_mm, found.face_z_mm[row], level)
-        thick = np.interp(places, found.face_x_mm, found.sheet.thickness_mm[row]).sum()
-        lower, _ = width_mm(found.x_mm, found.touched_face_mm[cell] + THIN_MM, level)
+        assert face.sheet is not None
+        row, cell = face.face_y_mm.size // 2, face.y_mm.size // 2
+        level = face.depth_mm - bar.height_mm / 3
+        upper, places = width_mm(face.face_x_mm, face.face_z_mm[row], level)
+        thick = np.interp(places, face.face_x_mm, face.sheet.thickness_mm[row]).sum()
+        lower, _ = width_mm(face.x_mm, face.touched_face_mm[cell] + THIN_MM, level)
         over.append(abs(upper - width - thick))
         under.append(abs(lower - width))
         print(f"bar {width:g}: upper {upper:.3f} mm, lower {lower:.3f} mm", flush=True)
@@ -322,10 +322,10 @@ def measured(quick: bool) -> Figures:
     result: Figures = {}
     memory_gib: dict[str, float] = {}
     for part in (solids, nut, balls, balls_s, nut_s, fingerprint_s, bars, halved):
-        found, peak_gib = in_child(part, quick)
+        figures, peak_gib = in_child(part, quick)
         name = "finer_cells_memory_gib" if part in {bars, halved} else "peak_memory_gib"
         memory_gib[name] = max(peak_gib, memory_gib.get(name, 0.0))
-        result |= found
+        result |= figures
     return result | memory_gib
 
 

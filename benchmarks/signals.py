@@ -186,14 +186,14 @@ def _one(
 
 def _session(leader: int) -> list[int]:
     """Return the process ids of a session that have not ended."""
-    found = []
+    processes = []
     for entry in Path("/proc").iterdir():
         if entry.name.isdigit():
             with suppress(OSError):
                 fields = (entry / "stat").read_text().rpartition(")")[2].split()
                 if int(fields[3]) == leader and fields[0] != "Z":
-                    found.append(int(entry.name))
-    return found
+                    processes.append(int(entry.name))
+    return processes
 
 
 def _text(folder: Path) -> str:

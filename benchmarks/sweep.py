@@ -167,12 +167,12 @@ def seconds_of_stages(cases: list[Case]) -> dict[str, float]:
     for _, case in in_sharing_order(cases, first.reads()):
         taken = measure(case.experiment, memory=memory).seconds
         after.update({f"{stage}_s": taken[stage] for stage in ("score", "object")})
-    found = {
+    seconds = {
         name: sum(memory.seconds[stage] for stage in stages) for name, stages in STAGES.items()
     }
     path = ("trace_s", "light_s", "noise_s")
-    found["path_cpu_s"] = sum(memory.cpu_s[stage] for name in path for stage in STAGES[name])
-    return {name: value / len(cases) for name, value in (found | after).items()}
+    seconds["path_cpu_s"] = sum(memory.cpu_s[stage] for name in path for stage in STAGES[name])
+    return {name: value / len(cases) for name, value in (seconds | after).items()}
 
 
 def worker_scaling(cases: int, scratch: Path) -> dict[str, float]:
@@ -181,8 +181,10 @@ def worker_scaling(cases: int, scratch: Path) -> dict[str, float]:
     one_s, two_s = (of_workers(count, cases, scratch) for count in (1, 2))
     loops.append(machine_speed_up())
     print(f"{cases} independent cases: {one_s:.1f} s by one worker, {two_s:.1f} s by two")
-    found = {"speed_up_2_workers": one_s / two_s, "machine_speed_up": sum(loops) / len(loops)}
-    return found | {"worker_efficiency": found["speed_up_2_workers"] / found["machine_speed_up"]}
+    figures = {"speed_up_2_workers": one_s / two_s, "machine_speed_up": sum(loops) / len(loops)}
+    return figures | {
+        "worker_efficiency": figures["speed_up_2_workers"] / figures["machine_speed_up"]
+    }
 
 
 def of_workers(count: int, cases: int, scratch: Path) -> float:

@@ -44,26 +44,26 @@ def main() -> None:
     quick = quick_parser(__doc__, "no full size, one run each").parse_args().quick
     repeats = 1 if quick else REPEATS
     with tempfile.TemporaryDirectory() as scratch:
-        found = waits(Path(scratch), repeats) | first_run(Path(scratch))
+        figures = waits(Path(scratch), repeats) | first_run(Path(scratch))
         if not quick:
-            found |= full_size(Path(scratch), repeats)
-    found["noise_484_ms"] = 1e3 * noise_s(4)
+            figures |= full_size(Path(scratch), repeats)
+    figures["noise_484_ms"] = 1e3 * noise_s(4)
     if not quick:
-        found["noise_full_s"] = noise_s(1)
-    print_figures(found)
+        figures["noise_full_s"] = noise_s(1)
+    print_figures(figures)
 
 
 def waits(scratch: Path, repeats: int) -> Times:
     """Time commands at 968 x 732."""
-    found = least("measure", f"{MEASURE} {scratch}/measured", repeats)
+    figures = least("measure", f"{MEASURE} {scratch}/measured", repeats)
     stages = json.loads((scratch / "measured" / "timings.json").read_text(encoding="utf-8"))
     without = least("report", f"{MEASURE} {scratch}/measured --no-report", repeats)
-    found["physics_share"] = sum(stages[name] for name in PHYSICS) / found["measure_s"]
-    found |= {
-        name: found[name.replace("report", "measure")] - value for name, value in without.items()
+    figures["physics_share"] = sum(stages[name] for name in PHYSICS) / figures["measure_s"]
+    figures |= {
+        name: figures[name.replace("report", "measure")] - value for name, value in without.items()
     }
-    found |= least("press", f"press {SCENE} -o {scratch}/pressed", repeats)
-    return found | least("demo", f"demo -o {scratch}/demo", 1)
+    figures |= least("press", f"press {SCENE} -o {scratch}/pressed", repeats)
+    return figures | least("demo", f"demo -o {scratch}/demo", 1)
 
 
 def full_size(scratch: Path, repeats: int) -> Times:

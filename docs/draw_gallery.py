@@ -45,8 +45,8 @@ def draw(experiment: twin.Experiment, file: Path) -> None:
         done = twin.measure(twin.vary(experiment, FEW_PIXELS if fringes else {}))
         panels[1].imshow(done.picture, cmap="gray", vmin=0, vmax=255)
         panels[1].set_title("camera", fontsize=10)
-        found = np.where(done.points.valid, done.points.world_mm[..., 2], np.nan)
-        heights(figure, panels[2], found, "measured heights")
+        height_mm = np.where(done.points.valid, done.points.world_mm[..., 2], np.nan)
+        heights(figure, panels[2], height_mm, "measured heights")
     else:
         pressed = twin.press(experiment)
         heights(figure, panels[2], pressed.face_z_mm[::-1], "pressed coat")

@@ -128,8 +128,8 @@ def width(experiment: Experiment, pressed: PressedElastomer) -> str:
     beside = np.abs(pressed.face_x_mm - middle_mm) < 5.5
     left = np.where(beside & (pressed.face_x_mm < middle_mm), slope, -np.inf)
     right = np.where(beside & (pressed.face_x_mm > middle_mm), slope, np.inf)
-    found = pressed.face_x_mm[right.argmin()] - pressed.face_x_mm[left.argmax()]
-    return f"width {found:.2f} mm, bar 7.23"
+    width_mm = pressed.face_x_mm[right.argmin()] - pressed.face_x_mm[left.argmax()]
+    return f"width {width_mm:.2f} mm, bar 7.23"
 
 
 Row = tuple[str, float, Callable[[Experiment, PressedElastomer], str]]

@@ -53,7 +53,7 @@ def asset_path(collection: Collection, name: str) -> Path:
         path = _existing(folder / name)
         if path is not None:
             return path
-    raise AssetError(_not_found(collection, name))
+    raise AssetError(_missing_words(collection, name))
 
 
 def scene_file(name: str | Path) -> Path:
@@ -184,7 +184,7 @@ def _check_name(collection: Collection, name: str) -> None:
         )
 
 
-def _not_found(collection: Collection, name: str) -> str:
+def _missing_words(collection: Collection, name: str) -> str:
     if _is_path(name) or len(name) > _LONGEST_NAME:
         return f"{shown(name)}: no such file"
     known = list_assets(collection)

@@ -112,8 +112,8 @@ def rod(seeds: int = 5) -> Values:
 
     def once(seed: int) -> dict[str, float]:
         experiment = load_experiment("examples/slab_rod", {"camera.binning": 4, "seed": seed})
-        found = measure(experiment, memory=memory).figures
-        return {f"rod_{name}_mm": found[f"rod_{name}_mm"] for name in ("width", "height")}
+        figures = measure(experiment, memory=memory).figures
+        return {f"rod_{name}_mm": figures[f"rod_{name}_mm"] for name in ("width", "height")}
 
     return repeated(seeds, once)
 

@@ -84,12 +84,12 @@ def last_object(script: str, line: str) -> Result:
         There is none.
     """
     try:
-        found = json.loads(line)
+        figures = json.loads(line)
     except ValueError:
-        found = None
-    if not isinstance(found, dict):
+        figures = None
+    if not isinstance(figures, dict):
         raise InputError(f"benchmark {script}: found last line '{line}', allowed a JSON object")
-    return found
+    return figures
 
 
 CASES = read_cases(FILE)

@@ -26,8 +26,8 @@ class NearestColours(ColourMap):
     def __post_init__(self):
         count = max(NEIGHBOURS, len(self.colours))
         if self.colours.shape != (count, 3) or self.slopes.shape != (count, 2):
-            found = f"{self.colours.shape} and {self.slopes.shape}"
-            raise FitError(f"nearest colours: found {found}, allowed (n, 3) and (n, 2), n > 7")
+            shapes = f"{self.colours.shape} and {self.slopes.shape}"
+            raise FitError(f"nearest colours: found {shapes}, allowed (n, 3) and (n, 2), n > 7")
 
     @classmethod
     def fit(cls, samples, background):

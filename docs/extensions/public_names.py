@@ -22,11 +22,11 @@ class PublicNames(SphinxDirective):
 
 def entry(package: ModuleType, name: str) -> list[str]:
     """Return the directive of one name; results of methods and properties are listed, too."""
-    found = getattr(package, name)
+    value = getattr(package, name)
     place = f"{package.__name__}.{name}"
-    if not isinstance(found, type):
+    if not isinstance(value, type):
         return [f".. autofunction:: {place}", ""]
-    with_members = ["   :members:"] if hasattr(found, "plot") else []
+    with_members = ["   :members:"] if hasattr(value, "plot") else []
     return [f".. autoclass:: {place}", *with_members, ""]
 
 

@@ -274,8 +274,8 @@ def find_corners(
 
 
 def _chessboard(board: Chessboard, image: Levels) -> tuple[Indices, FloatArray]:
-    is_found, corners = cv2.findChessboardCorners(image, (board.columns, board.rows))
-    if not is_found:
+    is_complete, corners = cv2.findChessboardCorners(image, (board.columns, board.rows))
+    if not is_complete:
         raise InputError(
             f"no chessboard of {board.columns} x {board.rows} inner corners is recognised; show "
             "the whole board, tilt it less, or correct the board's data"

@@ -59,10 +59,10 @@ def read_board_capture(folder: Path | str) -> BoardCapture:
     White and black frames are not needed with fringes: the image of the board is the mean of the
     phase frames.
     """
-    found = read_uncalibrated(folder)
-    if found.patterns.axes != AXES:
+    capture = read_uncalibrated(folder)
+    if capture.patterns.axes != AXES:
         raise CaptureError(f"{folder}: a board needs fringes along both axes; record them as well")
-    return found
+    return capture
 
 
 def pose_folders(folder: Path | str) -> list[Path]:

@@ -30,7 +30,7 @@ from reconstruction.writing import write_png, write_text
 DESCRIPTION_FILE = "capture.toml"
 FORMAT = "fringe-capture"
 VERSION = 1
-ALWAYS_TOLD = (
+ALWAYS_STATED = (
     "width_px",
     "height_px",
     "period_px",
@@ -119,7 +119,7 @@ def pattern_table(patterns: PatternSet) -> dict[str, Any]:
     return {
         name: value
         for name, value in asdict(patterns).items()
-        if name in ALWAYS_TOLD or value != getattr(PatternSet, name)
+        if name in ALWAYS_STATED or value != getattr(PatternSet, name)
     }
 
 

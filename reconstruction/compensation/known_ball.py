@@ -75,8 +75,8 @@ class CalibratedSheet:
     radius_before_mm: float
     balls: int
     thickness_per_pre_stretch_mm: float
-    modulus_found: bool
-    rim_found: bool
+    modulus_fitted: bool
+    rim_fitted: bool
 
 
 def calibrate_sheet(
@@ -134,8 +134,8 @@ def calibrate_sheet(
         radius_before_mm=before,
         balls=measured.balls,
         thickness_per_pre_stretch_mm=2 * here.thickness_mm / here.pre_stretch,
-        modulus_found=free is not None,
-        rim_found=known.fits_rim,
+        modulus_fitted=free is not None,
+        rim_fitted=known.fits_rim,
     )
 
 

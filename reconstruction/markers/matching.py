@@ -57,7 +57,7 @@ def assign(
     near = _mutual(places, after_px, _GATE * spacing_px)
     starts = [grown] if np.array_equal(grown, near) else [grown, near]
     solutions = [_assigned_at_once(neighbours, after_px, start, spacing_px) for start in starts]
-    return min(solutions, key=lambda found: _cost(neighbours, after_px, found, spacing_px))
+    return min(solutions, key=lambda partner: _cost(neighbours, after_px, partner, spacing_px))
 
 
 def deviation_from_neighbours(
@@ -175,25 +175,25 @@ def _mutual(places_px: FloatArray, after_px: FloatArray, reach_px: float) -> Int
 
 
 def _fully_grown(
-    neighbours: _Neighbours, after_px: FloatArray, found: IntArray, spacing_px: float
+    neighbours: _Neighbours, after_px: FloatArray, partner: IntArray, spacing_px: float
 ) -> IntArray:
     """Return the assignments, continued to all dots that neighbours predict."""
-    for _ in range(len(found)):
-        grown = _grown(neighbours, after_px, found, spacing_px)
-        if np.array_equal(grown, found):
+    for _ in range(len(partner)):
+        grown = _grown(neighbours, after_px, partner, spacing_px)
+        if np.array_equal(grown, partner):
             break
-        found = grown
-    return found
+        partner = grown
+    return partner
 
 
 def _grown(
-    neighbours: _Neighbours, after_px: FloatArray, found: IntArray, spacing_px: float
+    neighbours: _Neighbours, after_px: FloatArray, partner: IntArray, spacing_px: float
 ) -> IntArray:
     """Return the assignments with those of dots next to assigned ones added."""
-    places, known = _predictions(neighbours, after_px, found)
-    free = known & (found == UNASSIGNED)
-    taken = np.isin(np.arange(len(after_px)), found)
-    grown = found.copy()
+    places, known = _predictions(neighbours, after_px, partner)
+    free = known & (partner == UNASSIGNED)
+    taken = np.isin(np.arange(len(after_px)), partner)
+    grown = partner.copy()
     if free.any() and not taken.all():
         left = np.flatnonzero(~taken)
         new = _mutual(places[free], after_px[left], _GATE * spacing_px)
@@ -203,11 +203,11 @@ def _grown(
 
 
 def _predictions(
-    neighbours: _Neighbours, after_px: FloatArray, found: IntArray
+    neighbours: _Neighbours, after_px: FloatArray, partner: IntArray
 ) -> tuple[FloatArray, BoolArray]:
     """Return the predicted places (dot, 2) of all dots, and whether a dot has a prediction."""
-    known = found != UNASSIGNED
-    moved = np.where(known[:, None], after_px[found] - neighbours.before_px, 0.0)
+    known = partner != UNASSIGNED
+    moved = np.where(known[:, None], after_px[partner] - neighbours.before_px, 0.0)
     places, has = neighbours.before_px.copy(), np.zeros(len(known), np.bool_)
     for dot in range(len(known)):
         expected = neighbours.predicted(dot, moved, known)
@@ -218,38 +218,38 @@ def _predictions(
 
 
 def _assigned_at_once(
-    neighbours: _Neighbours, after_px: FloatArray, found: IntArray, spacing_px: float
+    neighbours: _Neighbours, after_px: FloatArray, partner: IntArray, spacing_px: float
 ) -> IntArray:
     """Return the assignment with the smallest sum of squared distances from the predictions.
 
     A dot without a partner within the gate costs as much as one at the gate.
     """
     for _ in range(2):
-        cost, near = _costs(neighbours, after_px, found, spacing_px)
+        cost, near = _costs(neighbours, after_px, partner, spacing_px)
         before, after = linear_sum_assignment(cost)
-        found = np.full(len(found), UNASSIGNED, np.int64)
+        partner = np.full(len(partner), UNASSIGNED, np.int64)
         chosen = near[before, after]
-        found[before[chosen]] = after[chosen]
-    return found
+        partner[before[chosen]] = after[chosen]
+    return partner
 
 
 def _cost(
-    neighbours: _Neighbours, after_px: FloatArray, found: IntArray, spacing_px: float
+    neighbours: _Neighbours, after_px: FloatArray, partner: IntArray, spacing_px: float
 ) -> float:
-    cost = _costs(neighbours, after_px, found, spacing_px)[0]
-    known = np.flatnonzero(found != UNASSIGNED)
-    lost = len(found) - len(known)
-    return float(cost[known, found[known]].sum()) + lost * (_GATE * spacing_px) ** 2
+    cost = _costs(neighbours, after_px, partner, spacing_px)[0]
+    known = np.flatnonzero(partner != UNASSIGNED)
+    lost = len(partner) - len(known)
+    return float(cost[known, partner[known]].sum()) + lost * (_GATE * spacing_px) ** 2
 
 
 def _costs(
-    neighbours: _Neighbours, after_px: FloatArray, found: IntArray, spacing_px: float
+    neighbours: _Neighbours, after_px: FloatArray, partner: IntArray, spacing_px: float
 ) -> tuple[FloatArray, BoolArray]:
     """Return squared distances (n, m) from the predictions, at most the gate's, and the near ones.
 
     The predictions follow from the assignments of the neighbours.
     """
     gate = _GATE * spacing_px
-    places, has = _predictions(neighbours, after_px, found)
+    places, has = _predictions(neighbours, after_px, partner)
     apart = np.where(has[:, None], cdist(places, after_px), gate)
     return np.minimum(apart, gate) ** 2, apart < gate

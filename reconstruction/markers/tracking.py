@@ -94,13 +94,13 @@ def track(
     dots, pressed = pattern.dots, find_alike(after, pattern)
     expected_px = None if previous is None else _expected(previous, pattern)
     partner = assign(dots.centres_px, pressed.centres_px, pattern.spacing_px, expected_px)
-    found = partner != UNASSIGNED
+    tracked = partner != UNASSIGNED
     moved, sigma = np.zeros_like(dots.centres_px), np.zeros_like(dots.centres_px)
-    moved[found] = pressed.centres_px[partner[found]] - dots.centres_px[found]
-    sigma[found] = np.hypot(pressed.sigma_px[partner[found]], dots.sigma_px[found])
-    status = np.where(found, DotStatus.TRACKED, DotStatus.LOST).astype(np.uint8)
-    off_px = deviation_from_neighbours(dots.centres_px, moved, found, pattern.spacing_px)
-    status[found & (off_px > _LARGEST_DEVIATION * pattern.spacing_px)] = DotStatus.DOUBTFUL
+    moved[tracked] = pressed.centres_px[partner[tracked]] - dots.centres_px[tracked]
+    sigma[tracked] = np.hypot(pressed.sigma_px[partner[tracked]], dots.sigma_px[tracked])
+    status = np.where(tracked, DotStatus.TRACKED, DotStatus.LOST).astype(np.uint8)
+    off_px = deviation_from_neighbours(dots.centres_px, moved, tracked, pattern.spacing_px)
+    status[tracked & (off_px > _LARGEST_DEVIATION * pattern.spacing_px)] = DotStatus.DOUBTFUL
     return DotTracks(pattern, pressed, moved, sigma, status)
 
 

@@ -32,8 +32,8 @@ def test_gray_code_frames_have_the_bits_of_the_coordinates(truth_px: np.ndarray)
     assert (plain != inverse).all()
     for axis, part in enumerate((plain[:11], plain[11:])):
         binary = np.logical_xor.accumulate(part, axis=0)
-        found = np.tensordot(2 ** np.arange(len(part))[::-1], binary, axes=1)
-        np.testing.assert_array_equal(found, np.rint(truth_px[..., axis]))
+        word = np.tensordot(2 ** np.arange(len(part))[::-1], binary, axes=1)
+        np.testing.assert_array_equal(word, np.rint(truth_px[..., axis]))
 
 
 def test_phase_frames_have_the_phases_of_three_periods(truth_px: np.ndarray) -> None:
@@ -47,10 +47,10 @@ def test_phase_frames_have_the_phases_of_three_periods(truth_px: np.ndarray) -> 
 
 
 def test_gross_errors_are_counted_and_not_part_of_the_rms(truth_px: np.ndarray) -> None:
-    found = truth_px + 0.3
-    found[0, :10] += 5.0
-    found[1, :50] = np.nan
-    error, remark = work.decode_error({"truth_px": truth_px}, {"px": found})
+    decoded_px = truth_px + 0.3
+    decoded_px[0, :10] += 5.0
+    decoded_px[1, :50] = np.nan
+    error, remark = work.decode_error({"truth_px": truth_px}, {"px": decoded_px})
     assert error == pytest.approx(0.3)
     assert remark == "75.0% of the pixels decoded, 5.00% gross errors"
 

@@ -166,10 +166,10 @@ def test_the_assumed_noise_is_compared_with_the_images(tmp_path, capsys, gain, w
         noisy = np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
         imageio.imwrite(folder / f"img_{number + 1:02d}.bmp", noisy)
     assert described(folder, patterns) == 0
-    found = re.findall(
+    lines = re.findall(
         r"^(\w+): \[sensor\]: the phase frames scatter by ([\d.]+)", capsys.readouterr().out, re.M
     )
-    ((state, ratio),) = found
+    ((state, ratio),) = lines
     assert state == word
     assert float(ratio) == pytest.approx(gain / 1.7, rel=0.1)
 

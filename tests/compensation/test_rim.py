@@ -91,7 +91,7 @@ def test_a_ball_calibrates_thickness_and_rim(known: str) -> None:
     )
     calibrated = calibrate_sheet(*coat(press(1.0, 4.0), 1), prior, 4.0, travel=travel)
     fitted = calibrated.layer
-    assert calibrated.rim_found
+    assert calibrated.rim_fitted
     assert abs(fitted.thickness_mm - THICKNESS_MM) < 2 * fitted.sigma_thickness_mm < 4e-3
     away = abs(fitted.rim_compliance_mm2_per_n - COMPLIANCE)
     assert away < 2 * fitted.sigma_rim_compliance_mm2_per_n < 40.0

@@ -67,10 +67,10 @@ def direction(polar_deg, azimuth_deg):
     [(25, 0, 0), (25, 12.5, 180), (40, 20, 90), (40, 30, 135), (20, 80, 0), (70, 5, 0)],
 )
 def test_polar_angle_gives_the_angle_between_both_devices(angle_deg, polar_deg, azimuth_deg):
-    found = imaging.polar_of_angle(angle_deg, polar_deg, -azimuth_deg)
-    cosine = direction(polar_deg, azimuth_deg) @ direction(found, 0.0)
+    upright_deg = imaging.polar_of_angle(angle_deg, polar_deg, -azimuth_deg)
+    cosine = direction(polar_deg, azimuth_deg) @ direction(upright_deg, 0.0)
     assert np.rad2deg(np.arccos(cosine)) == pytest.approx(angle_deg, abs=1e-9)
-    assert 0.0 <= found < 90.0
+    assert 0.0 <= upright_deg < 90.0
 
 
 @pytest.mark.parametrize(("angle_deg", "polar_deg"), [(100, 0), (5, 12.5), (120, 20)])

@@ -33,11 +33,11 @@ def case_folder(made: MadeSet, number: int):
 
 def members(folder) -> dict[str, bytes]:
     """Return all members of the tar shards of a folder."""
-    found = {}
+    content = {}
     for shard in sorted(folder.glob("*.tar")):
         with tarfile.open(shard, "r:") as tar:
-            found |= {member.name: tar.extractfile(member).read() for member in tar}
-    return found
+            content |= {member.name: tar.extractfile(member).read() for member in tar}
+    return content
 
 
 def test_a_failed_draw_is_counted_and_not_drawn_again(made: MadeSet) -> None:
@@ -57,11 +57,11 @@ def test_a_failed_draw_is_counted_and_not_drawn_again(made: MadeSet) -> None:
 
 
 def test_members_are_named_by_key_and_quantity(made: MadeSet) -> None:
-    found = members(made.folder)
+    stored = members(made.folder)
     schema = json.loads((made.folder / "schema.json").read_text(encoding="utf-8"))["files"]
-    keys = {name.partition(".")[0] for name in found}
+    keys = {name.partition(".")[0] for name in stored}
     assert len(keys) == COUNT - FAILED
-    assert {name.partition(".")[2] for name in found} == set(schema)
+    assert {name.partition(".")[2] for name in stored} == set(schema)
     shards = sorted(path.name for path in made.folder.glob("*.tar"))
     assert shards == [f"test-{number:06d}.tar" for number in range(len(shards))]
     assert len(shards) > 1
@@ -72,10 +72,10 @@ def test_members_are_named_by_key_and_quantity(made: MadeSet) -> None:
 
 
 def test_types_and_axes_are_those_of_the_schema(made: MadeSet) -> None:
-    found = members(made.folder)
+    stored = members(made.folder)
     schema = json.loads((made.folder / "schema.json").read_text(encoding="utf-8"))["files"]
     sizes = {"row": 60, "col": 80, "xyz": 3}
-    for name, content in found.items():
+    for name, content in stored.items():
         entry = schema[name.partition(".")[2]]
         if "axes" not in entry:
             continue

@@ -218,9 +218,9 @@ def test_faults_of_methods(content: dict, message: str) -> None:
 
 
 def test_methods_are_two_or_more_and_different(tmp_path: Path) -> None:
-    for found in ('["direct_fpp"]', '["direct_fpp", "direct_fpp"]'):
+    for methods in ('["direct_fpp"]', '["direct_fpp", "direct_fpp"]'):
         file = tmp_path / "recipe.toml"
-        file.write_text(RECIPE.replace('["contact_fpp", "direct_fpp"]', found), encoding="utf-8")
+        file.write_text(RECIPE.replace('["contact_fpp", "direct_fpp"]', methods), encoding="utf-8")
         with pytest.raises(ConfigError, match="allowed two or three different methods"):
             load_recipe(file)
 

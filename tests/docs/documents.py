@@ -30,17 +30,17 @@ class Block:
 
 def blocks(page: Path) -> list[Block]:
     """Return the fenced blocks of a page, except the directives of Sphinx without own text."""
-    found, fence, head, lines = [], "", "", list[str]()
+    blocks, fence, head, lines = [], "", "", list[str]()
     for line in page.read_text(encoding="utf-8").splitlines():
         opened = _FENCE.match(line.lstrip())
         if not fence and opened:
             fence, head, lines = opened[1], opened[2].strip(), []
         elif fence and line.strip() == fence:
-            found.append(_block(page, head, "\n".join(lines) + "\n"))
+            blocks.append(_block(page, head, "\n".join(lines) + "\n"))
             fence = ""
         elif fence:
             lines.append(line)
-    return [block for block in found if not block.language.startswith("{")]
+    return [block for block in blocks if not block.language.startswith("{")]
 
 
 def _block(page: Path, head: str, text: str) -> Block:

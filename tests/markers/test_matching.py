@@ -46,9 +46,9 @@ def test_smooth_fields_of_half_a_spacing(kind, amplitude):
         false = rng.uniform(before.min(axis=0), before.max(axis=0), (3, 2))
         truth = np.full(63, UNASSIGNED)
         truth[kept] = np.arange(len(kept))
-        found = assign(before, np.concatenate([true[kept], false]), SPACING_PX)
-        wrong += np.count_nonzero((found != truth) & (found != UNASSIGNED))
-        missed += np.count_nonzero((found == UNASSIGNED) & (truth != UNASSIGNED))
+        partner = assign(before, np.concatenate([true[kept], false]), SPACING_PX)
+        wrong += np.count_nonzero((partner != truth) & (partner != UNASSIGNED))
+        missed += np.count_nonzero((partner == UNASSIGNED) & (truth != UNASSIGNED))
     assert missed == 0
     assert wrong <= 3
 
@@ -67,10 +67,10 @@ def test_a_slip_of_two_spacings_from_the_frame_before():
         kept = np.flatnonzero(rng.random(63) > 0.1)
         truth = np.full(63, UNASSIGNED)
         truth[kept] = np.arange(len(kept))
-        found = assign(before, before[kept] + moved_px, SPACING_PX, expected)
-        np.testing.assert_array_equal(found, truth)
-        known = found != UNASSIGNED
-        displacement = np.where(known[:, None], (before[kept] + moved_px)[found] - before, 0.0)
+        partner = assign(before, before[kept] + moved_px, SPACING_PX, expected)
+        np.testing.assert_array_equal(partner, truth)
+        known = partner != UNASSIGNED
+        displacement = np.where(known[:, None], (before[kept] + moved_px)[partner] - before, 0.0)
         expected = filled_from_neighbours(before, displacement, known, SPACING_PX)
     alone = assign(before, before[kept] + moved_px, SPACING_PX)
     assert np.count_nonzero(alone == truth) < 10
@@ -92,8 +92,8 @@ def test_unknown_displacements_follow_from_neighbours():
 
 def test_no_dot_gets_two_partners_and_none_is_invented():
     before = np.indices((4, 4)).reshape(2, -1).T * SPACING_PX
-    found = assign(before, before[:5] + 3.0, SPACING_PX)
-    assert found.tolist() == [0, 1, 2, 3, 4] + [UNASSIGNED] * 11
+    partner = assign(before, before[:5] + 3.0, SPACING_PX)
+    assert partner.tolist() == [0, 1, 2, 3, 4] + [UNASSIGNED] * 11
     assert (assign(before, before[:0], SPACING_PX) == UNASSIGNED).all()
 
 

@@ -124,7 +124,7 @@ def test_anchors_updated_early_move_a_stuck_sheet_by_little() -> None:
 
 
 @pytest.mark.parametrize(
-    ("thickness_mm", "asked_mm", "most_cells", "pitches_mm"),
+    ("thickness_mm", "cell_mm", "most_cells", "pitches_mm"),
     [
         (0.2, None, 36_000, [0.4, 0.15]),
         # More than three times finer than the coarse cells: some of intermediate width.
@@ -138,7 +138,7 @@ def test_anchors_updated_early_move_a_stuck_sheet_by_little() -> None:
 def test_cells_follow_from_thickness_and_contact(
     monkeypatch: pytest.MonkeyPatch,
     thickness_mm: float,
-    asked_mm: float | None,
+    cell_mm: float | None,
     most_cells: int,
     pitches_mm: list[float | None],
 ) -> None:
@@ -157,7 +157,7 @@ def test_cells_follow_from_thickness_and_contact(
     monkeypatch.setattr(cells, "_MOST_CELLS", most_cells)
     press.forget_paths()
     sheet = build_sheet(thickness_mm=thickness_mm, length_x_mm=8.0, length_y_mm=8.0)
-    pressed(Ball(diameter_mm=4.0), sheet, depth_mm=0.2, cell_mm=asked_mm)
+    pressed(Ball(diameter_mm=4.0), sheet, depth_mm=0.2, cell_mm=cell_mm)
     west, east, south, north = boxes[-1]
     widest = np.sqrt((east - west) * (north - south) / most_cells)
     assert result == pytest.approx(
@@ -184,10 +184,10 @@ def test_cells_are_wider_where_the_rim_adds_too_many(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(SheetCase, "sheet", recorded)
     ball, sheet = Ball(diameter_mm=4.0), build_sheet(length_x_mm=8.0, length_y_mm=8.0)
     finest = []
-    for most, asked_mm in ((10_000, None), (2_000, None), (2_000, 0.15)):
+    for most, cell_mm in ((10_000, None), (2_000, None), (2_000, 0.15)):
         monkeypatch.setattr(cells, "_MOST_CONTROLS", most)
         press.forget_paths()
-        pressed(ball, sheet, depth_mm=0.2, cell_mm=asked_mm)
+        pressed(ball, sheet, depth_mm=0.2, cell_mm=cell_mm)
         finest.append((sizes[-1], widths[-1]))
     (free, pitch), (limited, wider), (given, _) = finest
     assert free > 2_000, "the limit bites"

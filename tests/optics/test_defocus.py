@@ -46,7 +46,7 @@ def column_levels(patterns, table):
     return np.stack([patterns.profile(patterns.frames[k]) for k in table.frames], axis=1)
 
 
-def found_at(mi, tables, column_px, axial_mm):
+def blur_at(mi, tables, column_px, axial_mm):
     """Light of the column frames (point, frame) in the middle row, as the kernel looks it up."""
     from twin.optics.connection import Connection, FrameLight
 
@@ -73,7 +73,7 @@ def test_light_between_two_blur_levels_is_the_light_of_that_blur(mi, experiment,
     rng = np.random.default_rng(4)
     column_px = rng.uniform(-3.0, 323.0, 400)
     axial_mm = rng.uniform(NEAR_MM, FAR_MM, 400)
-    interpolated = found_at(mi, tables, column_px, axial_mm)
+    interpolated = blur_at(mi, tables, column_px, axial_mm)
     light = response(column_levels(patterns, tables["column"]), experiment.projector)
     variance_px2 = Defocus.of(experiment.projector).variance_px2(axial_mm)
     wanted = [
@@ -116,7 +116,7 @@ def test_defocus_is_the_light_of_all_pupil_points(mi, experiment, patterns):
     light = response(column_levels(patterns, tables["column"]), projector)
     sharp = blurred(light, (seen_px + shift_px).ravel(), projector.blur_px)
     wanted = sharp.reshape(*seen_px.shape, -1).mean(axis=1)
-    error = np.abs(found_at(mi, tables, column_px, axial_mm) - wanted)
+    error = np.abs(blur_at(mi, tables, column_px, axial_mm) - wanted)
     fringes = np.array([patterns.frames[k].kind == "phase" for k in tables["column"].frames])
     circle_px = pinhole.fx_px * APERTURE_MM * np.abs(1 / axial_mm - 1 / projector.focus_mm)
     assert circle_px.max() > 5.0

@@ -109,8 +109,8 @@ def test_no_folder_gets_more_everyday_words():
 def test_words_are_counted_outside_code_only():
     assert words_of("What `lies` is $told$: nothing.") == ["what", "is", "nothing"]
     text = '"""Return what lies beside it."""\nname = "told"  # nothing else\n'
-    found = [word for part in _strings_and_comments(text) for word in words_of(part)]
-    assert [word for word in found if word in everyday_words()] == [
+    words = [word for part in _strings_and_comments(text) for word in words_of(part)]
+    assert [word for word in words if word in everyday_words()] == [
         "what",
         "lies",
         "beside",

@@ -84,3 +84,28 @@ def test_names_are_words_of_the_field_too():
     """Class names are those in common use."""
     banned = {"Watcher", "Thing", "Observer", "Wish", "Opponent", "Ladder"}
     assert not banned.intersection(classes(indented=" *"))
+
+
+def _assigned(tree: ast.Module) -> Iterator[str]:
+    """Yield the names of functions, arguments, variables and attributes that a module defines."""
+    for node in ast.walk(tree):
+        if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
+            yield node.name
+        elif isinstance(node, ast.arg):
+            yield node.arg
+        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            yield node.id
+        elif isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store):
+            yield node.attr
+
+
+def test_names_state_what_a_value_is():
+    """A result that was "found" or "told" is a radius, a circle or a table of figures."""
+    banned = {"found", "told", "asked"}
+    files = [p for f in ("twin", "reconstruction", "benchmarks", "tests", "docs") for p in
+             (ROOT / f).rglob("*.py")]  # fmt: skip
+    assert len(files) > 1000
+    for path in files:
+        names = _assigned(ast.parse(path.read_text("utf-8")))
+        vague = [n for n in names if banned & {*n.split("_")} and not n.startswith("test_")]
+        assert not vague, f"{path.relative_to(ROOT)}: {vague[0]}"

@@ -93,17 +93,17 @@ def test_a_fitted_row_is_not_judged_by_its_own_value():
 
 def test_the_stored_solution_belongs_to_the_problem_that_is_compared():
     """Fitted rows, fields, choices and limits: a change of one of them needs a new solution."""
-    summary, asked = identified(), problem()
-    assert set(summary["fields"]) == set(asked.free)
-    for name, row in asked.rows.items():
+    summary, current = identified(), problem()
+    assert set(summary["fields"]) == set(current.free)
+    for name, row in current.rows.items():
         stored = summary["rows"][name]
         assert stored["fitted"] == (row.use == "fitted"), name
         if row.use == "fitted":
             assert (stored["measured"], stored["sd"]) == (row.value, row.sd), name
     combinations = [model["choices"] for model in summary["models"]]
-    assert all(choices in combinations for choices in asked.combinations())
-    assert len(combinations) == len(list(asked.combinations()))
-    for name, limit in asked.limits.items():
+    assert all(choices in combinations for choices in current.combinations())
+    assert len(combinations) == len(list(current.combinations()))
+    for name, limit in current.limits.items():
         assert summary["limits"][name]["at_least"] == limit.at_least
         assert summary["limits"][name]["sd"] == limit.sd
 

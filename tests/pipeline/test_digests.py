@@ -24,33 +24,33 @@ LEAST = {"_share": 5e-3, "_bias_um": 5e-3, "_error_um": 0.4}
 
 
 @pytest.fixture(scope="module")
-def found(mi, tmp_path_factory):
+def results(mi, tmp_path_factory):
     return measured(tmp_path_factory.mktemp("measured"))
 
 
 @pytest.mark.parametrize("name", sorted(recorded()["measured"]))
-def test_measured_as_recorded(found, name):
+def test_measured_as_recorded(results, name):
     expected = recorded()["measured"][name]
     if machine() == recorded()["machine"] and not find_backend().variant.startswith("cuda"):
-        assert found[name] == expected
+        assert results[name] == expected
     else:
         close = CLOSE_BARE if name in BARE else CLOSE
-        _same_metrics(found[name]["metrics"], expected["metrics"], close)
-        assert found[name]["arrays"].keys() == expected["arrays"].keys()
+        _same_metrics(results[name]["metrics"], expected["metrics"], close)
+        assert results[name]["arrays"].keys() == expected["arrays"].keys()
         for array, figures in expected["arrays"].items():
-            _same_figures(found[name]["arrays"][array], figures, close)
+            _same_figures(results[name]["arrays"][array], figures, close)
 
 
-def _same_metrics(found, expected, close):
-    assert found.keys() == expected.keys()
+def _same_metrics(results, expected, close):
+    assert results.keys() == expected.keys()
     for metric, value in expected.items():
         if isinstance(value, float):
             least = next((size for end, size in LEAST.items() if metric.endswith(end)), 1e-9)
-            assert found[metric] == pytest.approx(value, rel=close, abs=least), metric
+            assert results[metric] == pytest.approx(value, rel=close, abs=least), metric
         elif isinstance(value, int):
-            assert abs(found[metric] - value) <= FLIPPED, metric
+            assert abs(results[metric] - value) <= FLIPPED, metric
         else:
-            assert _without_numbers(found[metric]) == _without_numbers(value), metric
+            assert _without_numbers(results[metric]) == _without_numbers(value), metric
 
 
 def _without_numbers(value):
@@ -59,12 +59,12 @@ def _without_numbers(value):
     return [re.sub(r"\d+(\.\d+)?", "#", text) if isinstance(text, str) else text for text in texts]
 
 
-def _same_figures(found, expected, close):
+def _same_figures(results, expected, close):
     """Compare counts, means and RMS; a file of bytes has another length where a point is more."""
     if "rms" not in expected:
         return
     size = max(abs(expected["min"]), abs(expected["max"]), 1e-9)
     flipped = FLIPPED * size / expected["count"]
-    assert found["count"] == pytest.approx(expected["count"], rel=close)
-    assert abs(found["mean"] - expected["mean"]) <= close * expected["rms"] + flipped
-    assert abs(found["rms"] - expected["rms"]) <= close * expected["rms"] + flipped
+    assert results["count"] == pytest.approx(expected["count"], rel=close)
+    assert abs(results["mean"] - expected["mean"]) <= close * expected["rms"] + flipped
+    assert abs(results["rms"] - expected["rms"]) <= close * expected["rms"] + flipped

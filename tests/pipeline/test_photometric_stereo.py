@@ -224,7 +224,7 @@ def test_a_kept_calibration_serves_other_processes(
 
     monkeypatch.setattr("twin.pipeline.colours._references", refuse)
 
-    def found(changes):
+    def calibration_with(changes):
         new = Memory()
         new.calibrations = tmp_path
         return calibrated_sensor(vary(experiment, changes), new)[1]
@@ -235,17 +235,17 @@ def test_a_kept_calibration_serves_other_processes(
         "photometric.integration": "sdk_2025",
     }
     for changes in ({}, later):
-        stored, own = found(changes), calibrated[1]
+        stored, own = calibration_with(changes), calibrated[1]
         assert stored.pitch_mm == own.pitch_mm
         np.testing.assert_array_equal(stored.background, own.background)
         for name, values in own.colour_map.arrays().items():
             np.testing.assert_array_equal(stored.colour_map.arrays()[name], values)
     with pytest.raises(InputError, match="pressed again"):
-        found({"seed": experiment.seed + 1})
+        calibration_with({"seed": experiment.seed + 1})
     for file in tmp_path.glob("*/*.npz"):
         file.write_bytes(b"damaged")
     with pytest.raises(InputError, match="pressed again"):
-        found({})
+        calibration_with({})
 
 
 @pytest.fixture

@@ -33,7 +33,7 @@ def dots_of(ink):
     return relative, find_dots(relative, 0.55)
 
 
-def found_at(ink):
+def discs_in(ink):
     return np.round(dots_of(ink)[1].centres_px).tolist()
 
 
@@ -43,14 +43,14 @@ def test_shapes_that_pass_for_a_dot():
     A ring of radii 3 and 10 has (100 + 9) / (100 - 9) = 1.198 of its area; of 2 and 10 1.083. A
     square has 4 pi / 12 = 1.047, and so passes for a dot: grid and neighbours decide.
     """
-    assert found_at(disc(40, 50, 10)) == [[40, 50]]
-    assert found_at(disc(40, 50, 10) - disc(40, 50, 2)) == [[40, 50]]
-    assert found_at(disc(40, 50, 10) - disc(40, 50, 3)) == []
+    assert discs_in(disc(40, 50, 10)) == [[40, 50]]
+    assert discs_in(disc(40, 50, 10) - disc(40, 50, 2)) == [[40, 50]]
+    assert discs_in(disc(40, 50, 10) - disc(40, 50, 3)) == []
     square = ((abs(COL - 60) <= 8) & (abs(ROW - 50) <= 8)).astype(float)
-    assert found_at(square) == [[60, 50]]
-    assert found_at(disc(60, 50, 10, 2.0)) == [[60, 50]]
-    assert found_at(disc(60, 50, 10, 2.4)) == []
-    assert found_at(disc(60, 50, 10, 0.4)) == []
+    assert discs_in(square) == [[60, 50]]
+    assert discs_in(disc(60, 50, 10, 2.0)) == [[60, 50]]
+    assert discs_in(disc(60, 50, 10, 2.4)) == []
+    assert discs_in(disc(60, 50, 10, 0.4)) == []
 
 
 def test_a_dot_needs_forty_pixels_and_lies_within_the_image():
@@ -58,10 +58,10 @@ def test_a_dot_needs_forty_pixels_and_lies_within_the_image():
     small = ((abs(COL - 20.5) < 3) & (abs(ROW - 20.5) < 3)) * 1.0
     large = ((abs(COL - 20.5) < 3) & (abs(ROW - 20) < 4)) * 1.0
     assert (small.sum(), large.sum()) == (36, 42)
-    assert (len(found_at(small)), len(found_at(large))) == (0, 1)
-    assert (len(found_at(disc(7, 50, 8))), len(found_at(disc(8, 50, 8)))) == (0, 1)
-    assert (len(found_at(disc(152, 50, 8))), len(found_at(disc(151, 50, 8)))) == (0, 1)
-    assert (len(found_at(disc(50, 112, 8))), len(found_at(disc(50, 111, 8)))) == (0, 1)
+    assert (len(discs_in(small)), len(discs_in(large))) == (0, 1)
+    assert (len(discs_in(disc(7, 50, 8))), len(discs_in(disc(8, 50, 8)))) == (0, 1)
+    assert (len(discs_in(disc(152, 50, 8))), len(discs_in(disc(151, 50, 8)))) == (0, 1)
+    assert (len(discs_in(disc(50, 112, 8))), len(discs_in(disc(50, 111, 8)))) == (0, 1)
 
 
 def test_a_dirty_dot_is_drawn_away_from_its_dirt():

@@ -100,12 +100,12 @@ def test_mean_stated_variance_is_the_scatter(correlated, underestimated):
     independent errors is less than a sixth of it if the errors are correlated.
     """
     rng = np.random.default_rng(1)
-    slopes, found, variances = linear_slopes(10, rng), [], []
+    slopes, estimates, variances = linear_slopes(10, rng), [], []
     for _ in range(300):
         solution, residuals, variance = fit(slopes, linear_errors(slopes, rng, correlated))
-        found.append(solution[0])
+        estimates.append(solution[0])
         variances.append([c[0, 0] for c in stated(slopes, residuals, variance)])
-    independent, robust = np.mean(variances, axis=0) / np.var(found)
+    independent, robust = np.mean(variances, axis=0) / np.var(estimates)
     assert independent < 1.2 / underestimated
     assert 0.85 < robust < 1.6
 
@@ -125,15 +125,15 @@ def test_a_direction_that_one_pose_alone_determines_has_a_bounded_variance():
                 for k, s in enumerate(slopes)]  # fmt: skip
     information = np.array([part @ part for part in own_part])
     others = float(information[1:].sum() / information.sum())
-    found, variances = [], []
+    estimates, variances = [], []
     for _ in range(100):
         solution, residuals, variance = fit(slopes, linear_errors(slopes, rng, 0.0))
-        found.append(solution[0])
+        estimates.append(solution[0])
         variances.append(stated(slopes, residuals, variance)[1][0, 0])
     expected = (9.0 * 0.9 * others / limit**2 + TARGET_POSES) / (9.0 + TARGET_POSES)
     assert others == pytest.approx(0.001, rel=0.2)
-    assert np.mean(variances) / np.var(found) == pytest.approx(expected, rel=0.35)
-    assert np.mean(np.abs(found) <= 2.0 * np.sqrt(variances)) > 0.84
+    assert np.mean(variances) / np.var(estimates) == pytest.approx(expected, rel=0.35)
+    assert np.mean(np.abs(estimates) <= 2.0 * np.sqrt(variances)) > 0.84
 
 
 def test_intervals_cover_errors_that_are_correlated_in_a_pose():

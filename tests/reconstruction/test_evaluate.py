@@ -40,12 +40,12 @@ def test_the_soft_sphere_is_that_of_scipy(outliers, half_angle):
         [np.sin(slope) * np.cos(turn), np.sin(slope) * np.sin(turn), np.cos(slope)]
     )
     start = np.append(fit_sphere(points).centre_mm, fit_sphere(points).radius_mm)
-    found, expected = soft_sphere(points, start), start
+    fitted, expected = soft_sphere(points, start), start
     tight = {"loss": "soft_l1", "xtol": 1e-15, "ftol": 1e-15, "gtol": 1e-15, "x_scale": "jac"}
     for _ in range(2):
         scale = spread(radial_mm(expected, points))
         expected = least_squares(radial_mm, expected, args=(points,), f_scale=scale, **tight).x
-    left = radial_mm(found, points) - radial_mm(expected, points)
+    left = radial_mm(fitted, points) - radial_mm(expected, points)
     assert np.abs(left).max() < 1e-4 * NOISE_MM
 
 

@@ -151,8 +151,8 @@ def test_noise_shrinks_the_algebraic_sphere_as_its_cap_says(region_mm):
     points = plan_cap(200_000, 4.0, region_mm, 0.013)
     sagitta_mm = 4.0 - np.sqrt(16.0 - region_mm**2)
     expected_mm = 4.0 / (1.0 + 12.0 * (0.013 / sagitta_mm) ** 2)
-    found_mm = fit_sphere_algebraic(points).radius_mm
-    assert found_mm - 4.0 == pytest.approx(expected_mm - 4.0, rel=0.03 + sagitta_mm / 4.0)
+    radius_mm = fit_sphere_algebraic(points).radius_mm
+    assert radius_mm - 4.0 == pytest.approx(expected_mm - 4.0, rel=0.03 + sagitta_mm / 4.0)
     assert fit_sphere(points).radius_mm == pytest.approx(4.0, abs=0.012)
 
 

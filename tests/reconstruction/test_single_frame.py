@@ -68,10 +68,10 @@ def test_direction_follows_from_the_words(quiet_sensor, axis):
     for flipped in (False, True):
         shown = stack[:, ::-1, ::-1] if flipped else stack
         decoded = decode(np.ascontiguousarray(shown), patterns, quiet_sensor)
-        found = (decoded.column if axis == "column" else decoded.row).coordinate_px
+        coordinate_px = (decoded.column if axis == "column" else decoded.row).coordinate_px
         expected = x_px[::-1, ::-1] if flipped else x_px
         assert decoded.valid[INSIDE].all()
-        assert np.abs(found - expected)[INSIDE].max() < 0.05
+        assert np.abs(coordinate_px - expected)[INSIDE].max() < 0.05
 
 
 def test_sigma_is_the_spread_of_noisy_coordinates():

@@ -63,9 +63,9 @@ def test_data_are_the_measured_surface(data, finished):
     grids = {grid["name"]: grid for grid in data["grids"]}
     assert set(grids) == {HEIGHTS, DEVIATION, SPECIMEN}
     z_mm = heights(grids[HEIGHTS])
-    found_mm = measured.points.world_mm[measured.points.valid][:, 2]
-    assert np.nanmax(z_mm) == pytest.approx(found_mm.max(), abs=5e-3)
-    assert np.nanmean(z_mm) == pytest.approx(found_mm.mean(), abs=5e-3)
+    measured_mm = measured.points.world_mm[measured.points.valid][:, 2]
+    assert np.nanmax(z_mm) == pytest.approx(measured_mm.max(), abs=5e-3)
+    assert np.nanmean(z_mm) == pytest.approx(measured_mm.mean(), abs=5e-3)
     # The specimen's foremost point has travelled so far from the touched face.
     front = measured.press.depth_mm + measured.experiment.elastomer.touched_plane_mm
     assert np.nanmax(heights(grids[SPECIMEN])) == pytest.approx(front, abs=0.01)

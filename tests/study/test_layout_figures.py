@@ -71,8 +71,8 @@ def test_lenses_are_choices(study_of, base, tmp_path):
         '[axis.choices."50 mm".optics.lens]\nuse = "scenes/lenses/fujinon_hf50xa_5m"\n'
     )
     cases = cases_of(*load_study(file)).run
-    found_mm = [case.experiment.camera.pose.standoff_mm for case in cases]
-    assert found_mm == pytest.approx([35 * (1 + 1 / 0.2904), 50 * (1 + 1 / 0.2904)], rel=1e-3)
+    standoff_mm = [case.experiment.camera.pose.standoff_mm for case in cases]
+    assert standoff_mm == pytest.approx([35 * (1 + 1 / 0.2904), 50 * (1 + 1 / 0.2904)], rel=1e-3)
 
 
 def test_trials_vary_the_built_rig_not_the_request(base):

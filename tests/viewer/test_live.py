@@ -26,9 +26,9 @@ def address(mi) -> Iterator[str]:
     child = subprocess.Popen(line, cwd=ROOT, stdout=subprocess.PIPE, text=True)
     try:
         assert child.stdout
-        told = child.stdout.readline()
-        assert told.startswith("open http://127.0.0.1:"), told
-        yield told.split()[1]
+        line = child.stdout.readline()
+        assert line.startswith("open http://127.0.0.1:"), line
+        yield line.split()[1]
     finally:
         child.send_signal(signal.SIGINT)
         child.communicate(timeout=60)

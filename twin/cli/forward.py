@@ -394,14 +394,14 @@ def _write_with_report(
     """Write a measurement and its report; figures are drawn while the arrays are written."""
     from twin.report.measurement import write_report
     from twin.report.side_by_side import draw_side_by_side
-    from twin.results.folder import as_stored, write_maps, write_told
+    from twin.results.folder import as_stored, write_figures, write_maps
 
     def write() -> None:
         watch("write", 0.0)
         write_maps(folder, done)
         watch("write", 1.0)
 
-    write_told(folder, command, done)
+    write_figures(folder, command, done)
     stored = as_stored(folder, done)
     write_report(folder, watch, measured=stored, draw=partial(draw_side_by_side, first_task=write))
     return stored

@@ -117,12 +117,12 @@ SPECIMENS: Registry[type[Specimen]] = Registry("specimens", "twin.specimens.kind
 AnySpecimen = Annotated[Specimen, OneOf(SPECIMENS)]
 
 
-def require_at_most(key: str, found_mm: float, limit_mm: float, why: str) -> None:
+def require_at_most(key: str, length_mm: float, limit_mm: float, why: str) -> None:
     """Raise ValueError if a length exceeds a limit that other keys set.
 
     Raises
     ------
     ValueError : key, found length, allowed length and the keys that limit it
     """
-    if found_mm > limit_mm:
-        raise ValueError(f"{key}: found {found_mm:g}, allowed at most {limit_mm:g}: {why}")
+    if length_mm > limit_mm:
+        raise ValueError(f"{key}: found {length_mm:g}, allowed at most {limit_mm:g}: {why}")

@@ -59,5 +59,5 @@ def _cut(files: dict[str, Path]) -> Iterator[tuple[str, str]]:
                 yield name, one_line(error)
                 continue
             expected = file.tell() + int(np.prod(shape)) * dtype.itemsize
-        if (found := path.stat().st_size) != expected:
-            yield name, f"found {found} bytes, allowed {expected}"
+        if (stored := path.stat().st_size) != expected:
+            yield name, f"found {stored} bytes, allowed {expected}"

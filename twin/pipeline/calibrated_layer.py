@@ -87,8 +87,8 @@ def _calibration_figures(calibrated: CalibratedSheet) -> dict[str, Any]:
     sheet = calibrated.layer
     modulus = sheet.young_modulus_kpa, sheet.sigma_young_modulus_kpa
     rim = sheet.rim_compliance_mm2_per_n, sheet.sigma_rim_compliance_mm2_per_n
-    modulus_kpa, modulus_sigma_kpa = modulus if calibrated.modulus_found else (None, None)
-    compliance, sigma_compliance = rim if calibrated.rim_found else (None, None)
+    modulus_kpa, modulus_sigma_kpa = modulus if calibrated.modulus_fitted else (None, None)
+    compliance, sigma_compliance = rim if calibrated.rim_fitted else (None, None)
     return {
         "calibrated_thickness_mm": sheet.thickness_mm,
         "calibrated_thickness_sigma_um": _UM * sheet.sigma_thickness_mm,

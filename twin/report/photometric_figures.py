@@ -227,9 +227,9 @@ def draw_sections(path: Path, measured: Measurement) -> None:
         errors = axes_at(figure, 0.65, 4.0, 9.2, 2.4)
         heights.plot(s_mm, true_mm, color=TRUE_FACE, lw=2.4, alpha=0.6, label="true coat")
         for decoder in measured.colours.decoded:
-            found_mm = profile_mm(decoder, measured, trace, s_mm)
-            _line(heights, s_mm, found_mm, decoder)
-            _line(errors, s_mm, 1e3 * (found_mm - true_mm), decoder)
+            height_mm = profile_mm(decoder, measured, trace, s_mm)
+            _line(heights, s_mm, height_mm, decoder)
+            _line(errors, s_mm, 1e3 * (height_mm - true_mm), decoder)
         heights.set(title="Height along the section, z enlarged", ylabel="z (mm)")
         errors.set(title="Measured − true", ylabel="z error (µm)")
         errors.axhline(0.0, color=TRUE_FACE, lw=2.4, alpha=0.6)

@@ -32,11 +32,11 @@ def headings_of(table: StudyTable, more: Iterable[str] = ()) -> dict[str, tuple[
 def axis_headings(table: StudyTable) -> dict[str, tuple[str, str]]:
     """Return label and unit of every axis of a study, by its title."""
     paths = {axis.title: axis.path or "" for axis in table.record.study.axis}
-    found = {}
+    names = {}
     for title in table.axes:
         stem, unit = split_unit(title)
-        found[title] = stem.replace("_", " "), unit or split_unit(paths.get(title, ""))[1]
-    return found
+        names[title] = stem.replace("_", " "), unit or split_unit(paths.get(title, ""))[1]
+    return names
 
 
 def titles_of(table: StudyTable, more: Iterable[str] = ()) -> dict[str, str]:

@@ -177,8 +177,8 @@ def draw_truth_error(
     """Draw the error map, the predicted sigma and the histogram of errors as PNG."""
     both = reconstruction.point_map.valid & truth.lit
     points = at_pixels(truth.points_world_mm, both)
-    found_mm = at_pixels(reconstruction.point_map.points_world_mm, both)
-    error_um = 1e3 * (found_mm[:, 2] - points[:, 2]).astype(float)
+    point_mm = at_pixels(reconstruction.point_map.points_world_mm, both)
+    error_um = 1e3 * (point_mm[:, 2] - points[:, 2]).astype(float)
     sigma_um = 1e3 * at_pixels(reconstruction.point_map.sigma_z_mm, both).astype(float)
     limit_um = symmetric_limit(error_um, 99.5)
     with drawing(path, 10.0, 6.7) as figure:

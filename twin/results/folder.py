@@ -107,11 +107,11 @@ _NEEDED_OF_A_PRESS = (
 
 def write_measurement(folder: Path, command: str, done: Measurement) -> None:
     """Write all files of a measurement into an empty folder; `command` is the calling command."""
-    write_told(folder, command, done)
+    write_figures(folder, command, done)
     write_maps(folder, done)
 
 
-def write_told(folder: Path, command: str, done: Measurement) -> None:
+def write_figures(folder: Path, command: str, done: Measurement) -> None:
     """Write the small files of a measurement: figures, experiment, run times.
 
     `command` is the name of the calling command.

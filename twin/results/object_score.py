@@ -36,7 +36,7 @@ from twin.results.object_points import ObjectPoints, ObjectView, is_covered, see
 from twin.results.quantities import measurands_of, nominal_mm
 from twin.results.under_sheet import SheetCompensation
 
-NOTHING_FOUND = "no points of the object were measured"
+NO_POINTS = "no points of the object were measured"
 _ALIGNED_NAMES = {"none": "", "offset": "offset_", "offset_tilt": "offset_tilt_", "rigid": "rigid_"}
 
 NO_CALIBRATION = (
@@ -269,7 +269,7 @@ def _quantity(
     without : reason why a covered object has no lengths; empty if it has lengths
     fringes : whether the method projects fringes: its calibration is that on a dot board
     """
-    value, coat, true_value, why = None, None, None, NOTHING_FOUND
+    value, coat, true_value, why = None, None, None, NO_POINTS
     covered = observed is not None and observed.covered
     if observed is not None:
         hidden = request.hidden and covered

@@ -125,12 +125,12 @@ def _places(fronts: tuple[Front, ...], number: int) -> list[npt.NDArray[np.int64
     """Return, for each child of a front, the places of the child's border in the front."""
     front = fronts[number]
     own = front.end - front.first
-    found = []
+    places = []
     for child in front.children:
         border = fronts[child].border
         place = own + np.searchsorted(front.border, border)
-        found.append(np.where(border < front.end, border - front.first, place))
-    return found
+        places.append(np.where(border < front.end, border - front.first, place))
+    return places
 
 
 def _add_remainder_to(  # noqa: PLR0917 - compiled functions cannot take keyword-only arguments
