@@ -9,6 +9,8 @@ import pytest
 from tests.identification.sensors import NOISE_MM, Formula
 from twin.config import ConfigError
 from twin.config.problem import load_problem
+from twin.identification import run
+from twin.identification.known import NEGLIGIBLE
 from twin.identification.record import experiments_at_best, figures_of
 from twin.identification.run import _refined_places, identify, infer
 from twin.identification.simulations import record_of, simulate, variants_of
@@ -158,6 +160,29 @@ def test_choices_are_judged_and_only_those_that_change_it_are_simulated(tmp_path
     assert result.best.combination == {"fit": "near", "layout": "window"}
     assert result.best.probability > 0.95
     assert sum(model.probability for model in result.models) == pytest.approx(1.0)
+
+
+def test_improbable_choices_have_short_chains_and_change_no_result(tmp_path, monkeypatch):
+    """Setup: chains of 400 steps, with screening by 200 steps and without.
+
+    Expected: the same fields and probabilities; improbable choices keep their 200 steps.
+    """
+    problem, experiments = _load(tmp_path, CHOICES)
+    out = tmp_path / "out"
+    simulated = simulate(problem, experiments, out, local_workers(1), make_measurer=Formula)
+    monkeypatch.setattr(run, "_SCREENING_STEPS", 200)
+    screened = infer(problem, simulated, longest=SHORT)
+    assert [m.posterior.steps == SHORT for m in screened.models] == [
+        m.probability >= NEGLIGIBLE for m in screened.models
+    ]
+    assert 1 <= len(screened.probable) < len(screened.models)
+    monkeypatch.setattr(run, "_SCREENING_STEPS", SHORT)
+    whole = infer(problem, simulated, longest=SHORT)
+    np.testing.assert_array_equal(screened.best.posterior.z, whole.best.posterior.z)
+    for one, other in zip(screened.models, whole.models, strict=True):
+        assert one.probability == pytest.approx(other.probability, rel=0.2, abs=1e-6)
+    samples = screened.to_xarray()
+    assert np.isfinite(samples["thickness"].values[0]).all()
 
 
 def test_a_row_held_out_is_not_fitted_and_rotated_ones_are_predicted(tmp_path):

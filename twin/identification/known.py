@@ -37,6 +37,10 @@ if TYPE_CHECKING:
     from reconstruction.drawing import Drawing
 
 
+NEGLIGIBLE = 1e-4
+"""Probability of a combination of choices below which its chains are short."""
+
+
 @dataclass(frozen=True, eq=False)
 class SensorModel:
     """Model of the sensor for one combination of choices, with the posterior of its free fields.
@@ -104,6 +108,11 @@ class Identified:
     def to_xarray(self) -> "xarray.Dataset":
         """Return the samples (model, sample) of each free field, as in `posterior.nc`."""
         return samples_of(self).to_xarray()
+
+    @property
+    def probable(self) -> tuple[SensorModel, ...]:
+        """Models of a probability of at least `NEGLIGIBLE`, the most probable first."""
+        return tuple(model for model in self.models if model.probability >= NEGLIGIBLE)
 
     @property
     def best(self) -> SensorModel:
@@ -185,7 +194,7 @@ def _candidates(problem: SensorProblem, model: SensorModel) -> Likelihood:
 def mixed(samples: list[FloatArray], weights: list[float], seed: int) -> FloatArray:
     """Draw samples (sample, free field) from several models, in shares given by their weights."""
     rng = np.random.default_rng(seed)
-    count = min(len(values) for values in samples)
+    count = len(samples[int(np.argmax(weights))])
     shares = rng.multinomial(count, np.array(weights) / sum(weights))
     drawn = [values[rng.choice(len(values), n)] for values, n in zip(samples, shares, strict=True)]
     return np.concatenate(drawn)

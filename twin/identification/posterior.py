@@ -40,6 +40,7 @@ _FARTHEST = 6.0
 _PROPOSALS_EXPONENT = 13
 _FREEDOM = 5.0
 _PROFILE = 25
+_SURE = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -369,3 +370,13 @@ def probabilities(posteriors: Sequence[Posterior], weights: Sequence[float]) -> 
     """Return posterior probabilities (model,) from the models' evidence and prior weights."""
     logs = np.log(weights) + np.array([posterior.log_evidence for posterior in posteriors])
     return np.asarray(np.exp(logs - logsumexp(logs)))
+
+
+def highest_probabilities(posteriors: Sequence[Posterior], weights: Sequence[float]) -> FloatArray:
+    """Return the probability (model,) over that of the best model, at the end of its evidence.
+
+    The end is 3 standard uncertainties of the logarithm of the evidence above its value.
+    """
+    logs = np.log(weights) + np.array([posterior.log_evidence for posterior in posteriors])
+    uncertain = _SURE * np.array([posterior.log_evidence_sd for posterior in posteriors])
+    return np.asarray(np.exp(np.minimum(logs + uncertain - logs.max(), 0.0)))

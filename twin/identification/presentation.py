@@ -14,10 +14,17 @@ _PANELS = 3
 
 
 def samples_of(identified: "Identified") -> LabelledArrays:
-    """Return the samples (model, sample) of each free field, and each model's probability."""
-    count = min(len(model.posterior.z) for model in identified.models)
+    """Return the samples (model, sample) of each free field, and each model's probability.
+
+    An improbable model has fewer samples; NaN follows them.
+    """
+    count = min(len(model.posterior.z) for model in identified.probable)
     dims = ("model", "sample")
-    by_model = np.stack([model.posterior.values[-count:] for model in identified.models])
+    shape = (len(identified.models), count, len(identified.problem.free))
+    by_model = np.full(shape, np.nan)
+    for samples, model in zip(by_model, identified.models, strict=True):
+        last = model.posterior.values[-count:]
+        samples[: len(last)] = last
     variables: dict[str, Labelled] = {
         name: (dims, by_model[:, :, i], {"long_name": free.path})
         for i, (name, free) in enumerate(identified.problem.free.items())

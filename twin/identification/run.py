@@ -1,6 +1,6 @@
 """Identification of a sensor: simulate, fit emulators, sample the posterior, refine near it."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 from functools import partial
@@ -21,8 +21,13 @@ from twin.identification.findings import (
     bound_compared,
     predict_rows,
 )
-from twin.identification.known import Identified, SensorModel
-from twin.identification.posterior import likelihood_of, probabilities, sample
+from twin.identification.known import NEGLIGIBLE, Identified, SensorModel
+from twin.identification.posterior import (
+    highest_probabilities,
+    likelihood_of,
+    probabilities,
+    sample,
+)
 from twin.identification.simulations import (
     Simulated,
     SimulatedFigure,
@@ -37,7 +42,12 @@ from twin.study.worker import Measurer
 from twin.study.workers import Workers, lasting, local_workers
 
 _Key = tuple[Variant, Metric, Statistic, LearnedAs]
+# A combination of choices, and its emulators of figures and of scatters by name of the row.
+_Task = tuple[Mapping[str, str], dict[str, Emulator], dict[str, Emulator]]
 _FIRST_STEPS = 2000
+# Steps of the chains from which the evidence of every combination of choices is computed first;
+# combinations of a negligible probability keep these chains.
+_SCREENING_STEPS = 500
 _IMPROBABLE = 0.01
 
 
@@ -161,8 +171,8 @@ def _infer(
     watch("learning", 1.0)
     watch("posterior", 0.0)
     given = [_emulators(problem, combination, learned) for combination in combinations]
-    model = partial(_model, longest, problem)
-    models = each(model, combinations, *zip(*given, strict=True))
+    tasks = [(c, *emulators) for c, emulators in zip(combinations, given, strict=True)]
+    models = _sampled(problem, tasks, each, longest)
     chances = probabilities([m.posterior for m in models], [m.prior for m in models])
     weighted = [replace(m, probability=float(p)) for m, p in zip(models, chances, strict=True)]
     best, *rest = sorted(weighted, key=lambda m: -m.probability)
@@ -174,6 +184,25 @@ def _infer(
     best = replace(best, rotated=by_row, bounds=tuple(bounds))
     watch("posterior", 1.0)
     return Identified(problem, (best, *rest), problem.design.seed)
+
+
+def _sampled(
+    problem: SensorProblem, tasks: Sequence[_Task], each: _Map, longest: int
+) -> list[SensorModel]:
+    """Sample every combination of choices; `probability` is still NaN.
+
+    Chains are long only where the probability may be at least `NEGLIGIBLE`.
+    """
+    if len(tasks) == 1 or longest <= _SCREENING_STEPS:
+        return each(partial(_model, longest, problem), *zip(*tasks, strict=True))
+    models = each(partial(_model, _SCREENING_STEPS, problem), *zip(*tasks, strict=True))
+    highest = highest_probabilities([m.posterior for m in models], [m.prior for m in models])
+    probable = [number for number, share in enumerate(highest) if share >= NEGLIGIBLE]
+    further = [tasks[number] for number in probable]
+    longer = each(partial(_model, longest, problem), *zip(*further, strict=True))
+    for number, model in zip(probable, longer, strict=True):
+        models[number] = model
+    return models
 
 
 def _keys(problem: SensorProblem, combination: Mapping[str, str]) -> dict[tuple[str, bool], _Key]:

@@ -420,15 +420,14 @@ def _emulators(identified: Identified) -> list[Block]:
 def _sampling(identified: Identified) -> Note:
     """Return a note on the convergence of the Markov chains.
 
-    The note is on the combination of choices with the fewest independent samples.
+    The note is on the probable combination of choices with the fewest independent samples.
     """
-    worst = min(
-        (model.posterior for model in identified.models), key=lambda model: model.independent
-    )
+    posteriors = [model.posterior for model in identified.probable]
+    worst = min(posteriors, key=lambda posterior: posterior.independent)
     words = (
         f"The chains ran {worst.steps} steps, autocorrelation time {worst.correlation_time:.0f} "
         f"steps: about {worst.independent:.0f} independent samples."
     )
-    if all(model.posterior.is_converged for model in identified.models):
+    if all(posterior.is_converged for posterior in posteriors):
         return Note(words)
     return Note(f"{words} The chains are too short: the intervals are approximate.", kind="failure")
