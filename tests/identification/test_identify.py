@@ -152,32 +152,37 @@ sd = 0.005
 )
 
 
-def test_choices_are_judged_and_only_those_that_change_it_are_simulated(tmp_path):
-    problem, _ = _load(tmp_path, CHOICES)
+@pytest.fixture(scope="module")
+def judged(tmp_path_factory):
+    """The problem with two alternatives, its simulations, and the result."""
+    folder = tmp_path_factory.mktemp("judged")
+    problem, experiments = _load(folder, CHOICES)
+    out = folder / "out"
+    simulated = simulate(problem, experiments, out, local_workers(1), make_measurer=Formula)
+    return problem, simulated, infer(problem, simulated, longest=SHORT)
+
+
+def test_choices_are_judged_and_only_those_that_change_it_are_simulated(judged):
+    problem, _, result = judged
     assert [model.name for model in variants_of(problem)] == ["ball-free", "ball-window"]
-    result, _ = _identify(tmp_path, CHOICES, longest=SHORT)
     # Thickness 0.3 and depth 0.54 give 0.162; the window doubles the product.
     assert result.best.combination == {"fit": "near", "layout": "window"}
     assert result.best.probability > 0.95
     assert sum(model.probability for model in result.models) == pytest.approx(1.0)
 
 
-def test_improbable_choices_have_short_chains_and_change_no_result(tmp_path, monkeypatch):
+def test_improbable_choices_have_short_chains_and_change_no_result(judged, monkeypatch):
     """Setup: chains of 400 steps, with screening by 200 steps and without.
 
     Expected: the same fields and probabilities; improbable choices keep their 200 steps.
     """
-    problem, experiments = _load(tmp_path, CHOICES)
-    out = tmp_path / "out"
-    simulated = simulate(problem, experiments, out, local_workers(1), make_measurer=Formula)
-    monkeypatch.setattr(run, "_SCREENING_STEPS", 200)
+    problem, simulated, whole = judged
+    monkeypatch.setattr(run, "_SCREENING_STEPS", SHORT // 2)
     screened = infer(problem, simulated, longest=SHORT)
     assert [m.posterior.steps == SHORT for m in screened.models] == [
         m.probability >= NEGLIGIBLE for m in screened.models
     ]
     assert 1 <= len(screened.probable) < len(screened.models)
-    monkeypatch.setattr(run, "_SCREENING_STEPS", SHORT)
-    whole = infer(problem, simulated, longest=SHORT)
     np.testing.assert_array_equal(screened.best.posterior.z, whole.best.posterior.z)
     for one, other in zip(screened.models, whole.models, strict=True):
         assert one.probability == pytest.approx(other.probability, rel=0.2, abs=1e-6)
