@@ -67,8 +67,8 @@ class CalibratedSheet:
     radius_before_mm : measured radius of the ball with the values before the calibration
     balls : number of contact parts that are balls
     thickness_per_pre_stretch_mm : change of the fitted thickness per unit of assumed pre-stretch
-    modulus_found : whether the free span determined a modulus
-    rim_found : whether the rim's compliance was fitted
+    modulus_fitted : whether the free span determined a modulus
+    rim_fitted : whether the rim's compliance was fitted
     """
 
     layer: SheetLayer

@@ -122,7 +122,7 @@ def write_figures(folder: Path, command: str, done: Measurement) -> None:
 
 
 def write_maps(folder: Path, done: Measurement) -> None:
-    """Write the arrays of a measurement: all files that `write_told` does not write."""
+    """Write the arrays of a measurement: all files that `write_figures` does not write."""
     run_side_by_side(
         [
             lambda: write_kept(folder, done, ("points",)),
@@ -231,7 +231,7 @@ def _compensation_of(experiment: Experiment, images: Fringes | Colours) -> Sheet
 
 
 def as_stored(folder: Path, done: Measurement) -> Measurement:
-    """Return a measurement as `read_measurement` would return it, after `write_told`.
+    """Return a measurement as `read_measurement` would return it, after `write_figures`.
 
     Only the small files are read; the arrays are those of `done`.
     """
