@@ -59,15 +59,15 @@ def test_blocks_have_the_extremes_of_their_cells(shape):
     rng = np.random.default_rng(3)
     x, y = (np.cumsum(rng.uniform(0.01, 0.03, count)) for count in reversed(shape))
     z = rng.normal(0.0, 0.01, shape)
-    shaded = blocks_of(np.stack([*np.meshgrid(x, y), z], axis=-1))
+    blocks = blocks_of(np.stack([*np.meshgrid(x, y), z], axis=-1))
     along_x, along_y = np.diff(z, axis=1) / np.diff(x), np.diff(z, axis=0) / np.diff(y)[:, None]
     first = along_x[:-1] ** 2 + along_y[:, 1:] ** 2
     slopes = np.sqrt(np.maximum(first, along_x[1:] ** 2 + along_y[:, :-1] ** 2))
-    for row, col in np.ndindex(shaded.tops_mm.shape):
+    for row, col in np.ndindex(blocks.tops_mm.shape):
         cells = slice(BLOCK * row, BLOCK * (row + 1)), slice(BLOCK * col, BLOCK * (col + 1))
         vertices = tuple(slice(of.start, of.stop + 1) for of in cells)
-        assert shaded.steepest[row, col] == slopes[cells].max()
-        assert shaded.tops_mm[row, col] == z[vertices].max()
+        assert blocks.steepest[row, col] == slopes[cells].max()
+        assert blocks.tops_mm[row, col] == z[vertices].max()
 
 
 def test_a_gentle_face_needs_no_shadow_rays(mi, experiment, bump):

@@ -100,10 +100,10 @@ def _assigned(tree: ast.Module) -> Iterator[str]:
 
 
 def test_names_state_what_a_value_is():
-    """A result that was "found" or "told" is a radius, a circle or a table of figures."""
+    """A name that only states how a value was obtained does not state the value."""
     banned = {"found", "told", "asked"}
-    files = [p for f in ("twin", "reconstruction", "benchmarks", "tests", "docs") for p in
-             (ROOT / f).rglob("*.py")]  # fmt: skip
+    folders = ("twin", "reconstruction", "benchmarks", "tests", "docs")
+    files = [path for folder in folders for path in (ROOT / folder).rglob("*.py")]
     assert len(files) > 1000
     for path in files:
         names = _assigned(ast.parse(path.read_text("utf-8")))

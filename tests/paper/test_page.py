@@ -3,6 +3,7 @@
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from tests.browser import assert_readable
 from tests.paper.test_tables import colour_trials, fringe_trials
 from twin.config import load_experiment
 from twin.paper.claims import claims_of, claims_table
-from twin.paper.identified import fields_table
+from twin.paper.identified import decisions_table, fields_table
 from twin.paper.page import SECTIONS, Contents, write_paper_page
 from twin.paper.plan import CONTACT_FPP, GELSIGHT
 from twin.paper.rod_table import hardness_table
@@ -32,6 +33,7 @@ def page(tmp_path_factory) -> Path:
     tables = {table.name: table for table in (*(make(trials) for make in makers), hardness_table())}
     tables["claims"] = claims_table(claims_of(tables))
     tables["identified_fields"] = fields_table()
+    tables["identified_decisions"] = replace(decisions_table(), rows=())
     (folder / "figures").mkdir()
     picture = folder / "figures" / "hardness.png"
     imwrite(picture, np.full((40, 60, 3), 200, np.uint8))
@@ -52,6 +54,12 @@ def test_the_page_has_the_papers_and_the_twins_numbers(page):
     text = page.read_text(encoding="utf-8")
     assert "3.835" in text
     assert "4.002" in text
+
+
+def test_a_table_without_rows_is_left_out(page):
+    text = page.read_text(encoding="utf-8")
+    assert fields_table().title in text
+    assert decisions_table().title not in text
 
 
 def test_a_missed_target_is_reported_in_words(page):

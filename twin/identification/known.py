@@ -192,7 +192,10 @@ def _candidates(problem: SensorProblem, model: SensorModel) -> Likelihood:
 
 
 def mixed(samples: list[FloatArray], weights: list[float], seed: int) -> FloatArray:
-    """Draw samples (sample, free field) from several models, in shares given by their weights."""
+    """Draw samples (sample, free field) from several models, in shares given by their weights.
+
+    There are as many as the model with the largest weight has.
+    """
     rng = np.random.default_rng(seed)
     count = len(samples[int(np.argmax(weights))])
     shares = rng.multinomial(count, np.array(weights) / sum(weights))

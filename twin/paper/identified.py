@@ -313,7 +313,7 @@ def worth_table() -> Table:
 def decisions_table() -> Table:
     """Return the table of how well one more measurement decides a discrete alternative.
 
-    The best decision is in the first row. Empty for a solution without stored decisions.
+    The best decision is in the first row. A solution without stored decisions has no rows.
     """
     rows: tuple[dict[str, Cell], ...] = tuple(
         {
@@ -331,9 +331,8 @@ def decisions_table() -> Table:
         Column("after", "expected after the measurement", 2),
     )
     words = "Probability that the most probable choice is the true one, on average over readings."
-    missing = "The stored solution has no decisions."
     title = "Which measurement would decide an alternative"
-    return Table("identified_decisions", title, "", columns, rows, (words if rows else missing,))
+    return Table("identified_decisions", title, "", columns, rows, (words,))
 
 
 def draw_ridges(_cases: Path, stem: Path) -> None:

@@ -132,11 +132,11 @@ def write_paper_page(folder: Path, contents: Contents) -> Path:
 
 
 def _sections(tables: Mapping[str, Table], drawn: Collection[str]) -> list[Section]:
-    """Return the sections with at least one figure or table."""
+    """Return the sections with at least one figure or table; tables without rows are left out."""
     sections = []
     for part in SECTIONS:
         figures = [_figure(name) for name in part.figures if name in drawn]
-        shown = [tables[name] for name in part.tables if name in tables]
+        shown = [tables[name] for name in part.tables if name in tables and tables[name].rows]
         if figures or shown:
             words = part.paragraphs
             if part.name == "identified" and (note := pending()):

@@ -41,7 +41,7 @@ def chosen(alternative: str) -> str:
 
 
 RODS = tuple(f"bars_{letter}" for letter in "abc")
-"""Acrylic rods as rectangular bars: round ones have a probability of 0.02 in the first solution."""
+"""Acrylic rods as rectangular bars: the identification gives round ones a probability of 0.02."""
 WIDTH = {
     "half_height": "rod_width_mm",
     "slope_break": "rod_break_width_mm",
